@@ -8,7 +8,7 @@ use std::fs;
 use std::path::{Path, PathBuf};
 
 use common::{folder, graph, once, realo, root, run_virtual, simulated, text};
-use realo_nn::model::Model;
+use realo_methods::Model;
 use realo_nn::weights::expected;
 use realo_schemas::{Box3, Boxes};
 use safetensors::Dtype;

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 use std::process::Command;
 
 use common::machine::decided;
-use common::{folder, graph, json, realo, realo_ok, root, run_virtual, simulated, text};
+use common::{changed_graph, folder, graph, json, realo, realo_ok, root, run_virtual, simulated, text};
 use realo::registry;
 use realo_graph::{FlatGraph, Graph, audit, validate};
 use serde_json::Value;
@@ -57,7 +57,7 @@ fn graphs_of_two_fusions_of_features_differ_in_what_they_are_their_model_and_the
     let differing = attfuse.lines().zip(fcooper.lines()).filter(|(a, b)| a != b);
     let differing: Vec<&str> = differing.map(|(line, _)| line).collect();
     assert_eq!(differing.len(), 3, "{differing:#?}");
-    for (line, says) in differing.iter().zip(["# ", "env: { MODEL: ", "results.out="]) {
+    for (line, says) in differing.iter().zip(["# ", "env: { MODEL: ", "out: "]) {
         assert!(line.contains(says), "{line}");
     }
     for name in ["attfuse", "fcooper"] {
@@ -65,8 +65,34 @@ fn graphs_of_two_fusions_of_features_differ_in_what_they_are_their_model_and_the
         let model = format!("model=../models/lite-{name}.toml");
         let stages = flat.nodes.iter().filter(|node| node.args.contains(&model));
         let ids: Vec<&str> = stages.map(|node| node.id.as_str()).collect();
-        assert_eq!(ids, ["ego.encoder", "others.encoder", "fusion.fusion", "fusion.head"]);
+        assert_eq!(ids, ["others.encoder", "ego.encoder", "fusion.fusion", "fusion.head"]);
     }
+}
+
+#[test]
+fn a_strategy_says_what_is_special_about_it() {
+    let modules = std::fs::read_dir(root().join("dataflows/modules")).expect("modules can be listed");
+    let modules = modules.map(|entry| entry.expect("an entry").path());
+    let read = |path: &PathBuf| std::fs::read_to_string(path).expect("it can be read");
+    let strategies: Vec<(PathBuf, String)> = graphs().into_iter().map(|path| (path.clone(), read(&path))).collect();
+    for (path, text) in &strategies {
+        let lines = text.lines().count();
+        assert!(lines <= 25, "{}: {lines} lines", path.display());
+    }
+    let modules: Vec<String> = modules.map(|path| read(&path)).collect();
+    let texts = strategies.iter().map(|(_, text)| text).chain(&modules);
+    let lines: Vec<&str> = texts
+        .flat_map(|text| text.lines())
+        .map(str::trim)
+        .filter(|line| !line.is_empty())
+        .collect();
+    let distinct: std::collections::BTreeSet<&str> = lines.iter().copied().collect();
+    assert!(
+        2 * distinct.len() >= lines.len(),
+        "{} of {} lines",
+        distinct.len(),
+        lines.len()
+    );
 }
 
 #[test]
@@ -149,39 +175,32 @@ fn processed(result: &Path) -> u64 {
     result["frames"]["processed"].as_u64().expect("frames.processed")
 }
 
-/// A folder for graphs in `home`, from which all that the shipped ones name is seen.
-fn dataflows_in(home: &Path) -> PathBuf {
-    let dir = home.join("dataflows");
-    // A module that another names must lie in the graph's folder, not behind a link.
-    std::fs::create_dir_all(dir.join("modules")).expect("a folder can be made");
-    for module in std::fs::read_dir(root().join("dataflows/modules")).expect("modules can be listed") {
-        let module = module.expect("an entry");
-        std::fs::copy(module.path(), dir.join("modules").join(module.file_name())).expect("it can be copied");
-    }
-    for name in ["models", "dataflows/types", "dataflows/bin"] {
-        std::os::unix::fs::symlink(root().join(name), home.join(name)).expect("links can be made");
-    }
-    dir
-}
-
 /// A graph with `module:` wherever it hosts one, so that dora starts a process for each stage.
-fn with_a_process_for_each_stage(hosted: &str) -> String {
-    let mut inside = false;
-    let mut lines = Vec::new();
-    for line in hosted.lines() {
-        if let Some(args) = line.strip_prefix("    args: host ") {
-            assert_eq!(lines.pop().as_deref(), Some("    path: bin/realo"));
-            let (file, settings) = args.split_once(' ').unwrap_or((args, ""));
-            assert!(settings.is_empty() || file.ends_with("score.yml"), "{args}");
-            lines.push(format!("    module: {file}"));
-            inside = true;
-            continue;
-        }
-        inside &= !line.starts_with("  - id:");
-        // A module says itself what goes out.
-        if !(inside && line.trim_start().starts_with("output")) {
-            lines.push(line.into());
-        }
+fn with_a_process_for_each_stage(graph: &FlatGraph) -> String {
+    let mut lines = vec!["strict_types: true\nnodes:".to_string()];
+    for process in graph.processes() {
+        let wires = process.inputs.iter().map(|(port, input)| {
+            let queue = input
+                .queue_size
+                .map_or(String::new(), |size| format!(", queue_size: {size}"));
+            format!("{port}: {{ source: {}{queue} }}", input.source)
+        });
+        let inputs = format!("inputs: {{ {} }}", wires.collect::<Vec<_>>().join(", "));
+        lines.push(match process.args.as_slice() {
+            [word, module, ..] if word == "host" => {
+                let file = Path::new(module).file_name().expect("a file").to_string_lossy();
+                format!("  - {{ id: {}, module: modules/{file}, {inputs} }}", process.id)
+            }
+            args => {
+                let types = process.output_types.iter().map(|(port, name)| format!("{port}: {name}"));
+                let types = types.collect::<Vec<_>>().join(", ");
+                let outputs = process.outputs.iter().cloned().collect::<Vec<_>>().join(", ");
+                let (id, args) = (&process.id, args.join(" "));
+                format!(
+                    "  - {{ id: {id}, path: bin/realo, args: {args}, {inputs}, outputs: [{outputs}], output_types: {{ {types} }} }}"
+                )
+            }
+        });
     }
     lines.join("\n")
 }
@@ -189,8 +208,8 @@ fn with_a_process_for_each_stage(hosted: &str) -> String {
 #[test]
 fn a_module_runs_as_a_process_or_as_a_process_for_each_stage() {
     let home = folder("apart");
-    let hosted = std::fs::read_to_string(graph("late_fusion")).expect("the graph can be read");
-    let apart = dataflows_in(&home).join("apart.yml");
+    let hosted = FlatGraph::load(Path::new(&graph("late_fusion"))).expect("it can be read");
+    let apart = changed_graph(&home, "late_fusion", &[]).with_file_name("apart.yml");
     std::fs::write(&apart, with_a_process_for_each_stage(&hosted)).expect("the graph can be written");
     let flat = FlatGraph::load(&apart).expect("it can be read");
     assert_eq!(flat.processes().len(), flat.nodes.len());
@@ -225,8 +244,7 @@ fn a_module_runs_as_a_process_or_as_a_process_for_each_stage() {
 
 #[test]
 fn a_broken_graph_is_refused_with_what_mends_it() {
-    let text_of = std::fs::read_to_string(graph("late_fusion")).expect("the graph can be read");
-    let dir = dataflows_in(&folder("broken_graph"));
+    let home = folder("broken_graph");
     let cases = [
         (
             "modules/fuse.boxes.yml",
@@ -245,25 +263,30 @@ fn a_broken_graph_is_refused_with_what_mends_it() {
         ),
         ("modules/fuse.boxes.yml", "modules/fuse.boxen.yml", "fuse.boxen.yml"),
         (
-            "path: bin/realo\n    args: host modules/v2x.yml",
+            "path: ../bin/realo\n    args: host modules/v2x.yml",
             "path: ../bin/radio",
             "bin/radio",
         ),
         ("host modules/v2x.yml", "program ../my/links", "my/links"),
-        ("{ ego: ego/boxes", "{ ego: others/packets", "`ego`"),
+        ("{ ego: ego/boxes", "{ ego: ego/packets", "`ego`"),
         ("outputs: [to_ego, to_others]", "outputs: [to_ego, to_all]", "to_others"),
         ("modules/detect.network.yml", "detect.away.yml", "--model"),
+        (
+            "fuse: modules",
+            "fuze: modules",
+            "has no parameter `fuze` (did you mean `fuse`?)",
+        ),
+        (", fuse: modules/fuse.boxes.yml", "", "needs the parameter `fuse`"),
+        ("modules/late.yml", "modules/later.yml", "later.yml"),
     ];
     let detect = std::fs::read_to_string(root().join("dataflows/modules/detect.network.yml")).expect("it can be read");
     let away = detect
         .replace("lite.toml", "away.toml")
         .replace("../bin", "bin")
         .replace("sense.yml", "modules/sense.yml");
-    std::fs::write(dir.join("detect.away.yml"), away).expect("it can be written");
     for (from, to, named) in cases {
-        assert!(text_of.contains(from), "{from}");
-        let path = dir.join("late_fusion.yml");
-        std::fs::write(&path, text_of.replace(from, to)).expect("the graph can be written");
+        let path = changed_graph(&home, "late_fusion", &[(from, to)]);
+        std::fs::write(path.with_file_name("detect.away.yml"), &away).expect("it can be written");
         let output = realo(["validate", &path.to_string_lossy()]);
         let said = format!("{}{}", text(&output.stdout), text(&output.stderr));
         assert_eq!(output.status.code(), Some(1), "{to}: {said}");

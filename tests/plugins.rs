@@ -143,7 +143,7 @@ fn the_examples_own_tests_pass() {
 
 const PROGRAM: &str = "target/release/fusion-nearest";
 
-/// The example's graph and module, with other words in the module.
+/// The example's graph, with other words.
 fn changed(name: &str, changes: &[(&str, &str)]) -> String {
     let dir = folder(name).join("graph");
     fs::create_dir(&dir).expect("a folder can be made");
@@ -151,15 +151,25 @@ fn changed(name: &str, changes: &[(&str, &str)]) -> String {
         std::os::unix::fs::symlink(root().join("dataflows").join(link), dir.join(link)).expect("links can be made");
     }
     let read = |file: &str| fs::read_to_string(example(file)).expect("the example can be read");
-    let mut module = read("fusion_nearest/fuse.nearest.yml");
+    let mut text = read("fusion_nearest/late_nearest.yml");
     for (from, to) in changes {
-        assert!(module.contains(from), "{from}");
-        module = module.replace(from, to);
+        assert!(text.contains(from), "{from}");
+        text = text.replace(from, to);
     }
-    fs::write(dir.join("fuse.nearest.yml"), module).expect("the module can be written");
     let path = dir.join("graph.yml");
-    fs::write(&path, read("fusion_nearest/late_nearest.yml")).expect("the graph can be written");
+    fs::write(&path, text).expect("the graph can be written");
     path.to_string_lossy().into_owned()
+}
+
+/// The example's graph, with a module of its own in which other words stand.
+fn changed_module(name: &str, (from, to): (&str, &str), change: (&str, &str)) -> String {
+    let graph = changed(name, &[change, ("modules/fuse.boxes.yml", "fuse.yml")]);
+    let module = fs::read_to_string(root().join("dataflows/modules/fuse.boxes.yml")).expect("the module can be read");
+    let (head, fusion) = module.split_once("id: fusion").expect("it has the stage");
+    assert!(fusion.contains(from), "{from}");
+    let module = format!("{head}id: fusion{}", fusion.replacen(from, to, 1));
+    fs::write(Path::new(&graph).with_file_name("fuse.yml"), module).expect("the module can be written");
+    graph
 }
 
 /// A graph whose fusion is a script; `$PLUGIN` in it stands for the example.
@@ -250,7 +260,7 @@ fn ports_and_arguments_that_do_not_fit_are_refused() {
     let program = fusion_nearest().to_string_lossy().into_owned();
     let at = (PROGRAM, program.as_str());
     let port = ("ego: _mod/ego, selections: bank", "ego: _mod/ego, chosen: bank");
-    let graph = changed("plugin_port", &[port, at]);
+    let graph = changed_module("plugin_port", port, at);
     fails(&graph, &["`chosen`", "ego, selections"]);
     let output = realo(["validate", &graph]);
     let said = text(&output.stdout);
@@ -258,7 +268,7 @@ fn ports_and_arguments_that_do_not_fit_are_refused() {
     assert!(said.contains("`fusion.fusion`, port `selections`"), "{said}");
 
     let types = ("proposals: realo/v1/Boxes }", "proposals: realo/v1/Report }");
-    let output = realo(["validate", &changed("plugin_type", &[types, at])]);
+    let output = realo(["validate", &changed_module("plugin_type", types, at)]);
     let said = text(&output.stdout);
     assert_eq!(output.status.code(), Some(1), "{said}");
     assert!(
@@ -266,16 +276,7 @@ fn ports_and_arguments_that_do_not_fit_are_refused() {
         "{said}"
     );
 
-    let graph = changed(
-        "plugin_argument",
-        &[
-            (
-                " threshold=0.15\n    inputs: { ego",
-                " treshold=0.15\n    inputs: { ego",
-            ),
-            at,
-        ],
-    );
+    let graph = changed("plugin_argument", &[(" threshold=0.15", " treshold=0.15"), at]);
     fails(&graph, &["did you mean `threshold`?", "exit status: 1"]);
 }
 
@@ -514,7 +515,9 @@ fn the_guide_can_be_followed_in_python() {
     let mine = guide::folder("guide_python", &["In Python"]);
     let _alone = alone();
     let said = guide::shell(&mine, "In Python", Some(&bin));
-    assert!(said.contains("late_fill.yml: fine"), "{said}");
+    assert!(said.contains("late_fusion"), "{said}");
     let result = |out: &str| json(&mine.join(out).join("result.json"));
+    let program = "fusion.fusion=program fusion_fill.py overlap=0.05";
+    assert_eq!(result("virtual")["set"], program);
     assert!(result("virtual")["accuracy"].is_object() && result("realtime")["accuracy"].is_object());
 }

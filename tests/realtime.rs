@@ -11,7 +11,7 @@ use std::process::{Child, Command, Stdio};
 use std::time::{Duration, Instant};
 
 use common::machine::{decided, half, quarter, three_quarters, whole};
-use common::{files_below, folder, graph, json, realo_ok, run_virtual, simulated, text};
+use common::{changed_graph, files_below, folder, graph, json, realo_ok, run_virtual, simulated, text};
 use realo_schemas::Nanos;
 use realo_schemas::report::Fated;
 use serde_json::Value;
@@ -196,33 +196,16 @@ fn oversleep(stop: &std::sync::atomic::AtomicBool) -> Nanos {
     most
 }
 
-/// A shipped graph with changes to its text, beside links to what it needs.
-fn variant(dir: &Path, name: &str, changes: &[(&str, &str)]) -> PathBuf {
-    for beside in ["models", "dataflows/modules", "dataflows/types", "dataflows/bin"] {
-        let link = dir.join(beside);
-        fs::create_dir_all(link.parent().expect("a folder")).expect("a folder can be made");
-        std::os::unix::fs::symlink(common::root().join(beside), link).expect("links can be made");
-    }
-    let mut text = fs::read_to_string(graph(name)).expect("the graph can be read");
-    for (from, to) in changes {
-        assert!(text.contains(from), "{from}");
-        text = text.replace(from, to);
-    }
-    let path = dir.join(format!("dataflows/{name}.yml"));
-    fs::write(&path, text).expect("the graph can be written");
-    path
-}
-
 /// Lets the recorder hear what each agent detected by itself.
 const RECORDED: [(&str, &str); 3] = [
-    ("outputs: [packets, state]", "outputs: [boxes, packets, state]"),
+    ("outputs: [packets, state, clouds]", "outputs: [packets, state, boxes]"),
     (
-        "{ packets: realo/v1/Packet,",
-        "{ boxes: realo/v1/Boxes, packets: realo/v1/Packet,",
+        "clouds: realo/v1/PointCloud }\n\n  - id: v2x",
+        "boxes: realo/v1/Boxes }\n\n  - id: v2x",
     ),
     (
         "truth: player/truth, ego_state",
-        "truth: player/truth, ego_boxes: ego/boxes, other_boxes: others/boxes, ego_state",
+        "truth: player/truth, ego_boxes: method.ego/boxes, other_boxes: others/boxes, ego_state",
     ),
 ];
 
@@ -234,7 +217,7 @@ fn realised_age_is_that_of_an_independent_calculation() {
 fn realised_age() {
     let _share = three_quarters();
     let out = folder("age");
-    let file = variant(&folder("age_graph"), "late_fusion", &RECORDED);
+    let file = changed_graph(&folder("age_graph"), "late_fusion", &RECORDED);
     // Without the gate, so that the calculation needs no positions.
     let args = ["--link", "paper", "--set", "v2x.link.range_m=100000"];
     let stop = std::sync::atomic::AtomicBool::new(false);
@@ -321,7 +304,7 @@ fn tampered(dir: &Path, report: &Path, what: &str) -> PathBuf {
         ("  - id: v2x", node.as_str()),
         ("packets: others/packets", "packets: tamper/out"),
     ];
-    variant(dir, "late_fusion", &changes)
+    changed_graph(dir, "late_fusion", &changes)
 }
 
 #[test]

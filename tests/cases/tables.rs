@@ -322,10 +322,6 @@ fn failing(dir: &Path) -> PathBuf {
     }
     let read = |file: &str| fs::read_to_string(root().join("dataflows").join(file)).expect("a shipped file");
     symlink(root().join("dataflows/modules"), dir.join("modules")).expect("a link");
-    let fuse = read("modules/fuse.boxes.yml")
-        .replace("../bin", "bin")
-        .replace("operator fusion-boxes ego_boxes=true", "program fails.sh");
-    fs::write(dir.join("fuse.fails.yml"), fuse).expect("a file");
     fs::write(
         dir.join("fails.sh"),
         "#!/bin/sh\necho it has no heart for it >&2\nexit 7\n",
@@ -336,7 +332,10 @@ fn failing(dir: &Path) -> PathBuf {
     let graph = dir.join("fails.yml");
     fs::write(
         &graph,
-        read("late_fusion.yml").replace("modules/fuse.boxes.yml", "fuse.fails.yml"),
+        read("late_fusion.yml").replace(
+            "modules/fuse.boxes.yml",
+            "modules/fuse.boxes.yml 'fusion=program fails.sh'",
+        ),
     )
     .expect("a file");
     graph

@@ -32,6 +32,37 @@ pub fn graph(name: &str) -> String {
         .into_owned()
 }
 
+/// A shipped graph in `home/dataflows`, with its modules and links to what it needs; each change is made wherever it applies.
+pub fn changed_graph(home: &Path, name: &str, changes: &[(&str, &str)]) -> PathBuf {
+    let dir = home.join("dataflows");
+    fs::create_dir_all(dir.join("modules")).expect("folders can be made");
+    for beside in ["models", "dataflows/types", "dataflows/bin"] {
+        if !home.join(beside).exists() {
+            std::os::unix::fs::symlink(root().join(beside), home.join(beside)).expect("links can be made");
+        }
+    }
+    let path = dir.join(format!("{name}.yml"));
+    let shipped = fs::read_dir(root().join("dataflows/modules")).expect("modules can be listed");
+    let modules = shipped.map(|module| module.expect("an entry").path());
+    let copies = modules.map(|from| (dir.join("modules").join(from.file_name().expect("a name")), from));
+    let mut texts: Vec<(PathBuf, String)> = copies
+        .chain([(path.clone(), graph(name).into())])
+        .map(|(to, from)| (to, fs::read_to_string(from).expect("it can be read")))
+        .collect();
+    for (from, to) in changes {
+        let mut changed = 0;
+        for (_, text) in texts.iter_mut().filter(|(_, text)| text.contains(from)) {
+            *text = text.replace(from, to);
+            changed += 1;
+        }
+        assert!(changed > 0, "{from}");
+    }
+    for (file, text) in texts {
+        fs::write(file, text).expect("it can be written");
+    }
+    path
+}
+
 /// Runs `realo` and returns what it said, whatever its exit code.
 pub fn realo<S: AsRef<std::ffi::OsStr>>(args: impl IntoIterator<Item = S>) -> Output {
     // So wide that no sentence of a table is broken.

@@ -1,4 +1,4 @@
-//! Follows `docs/compose.md` to the letter: the files that it gives, the commands that it says.
+//! Follows `docs/guide/your-fusion.md` to the letter: the files that it gives, the commands that it says.
 
 use std::fs;
 use std::os::unix::fs::symlink;
@@ -9,7 +9,7 @@ use crate::common::{files_below, root, text};
 use crate::{build, python};
 
 fn guide() -> String {
-    fs::read_to_string(root().join("docs/compose.md")).expect("the guide can be read")
+    fs::read_to_string(root().join("docs/guide/your-fusion.md")).expect("the guide can be read")
 }
 
 /// The user's folder with the files of sections, beside a link `realo` to the checkout.

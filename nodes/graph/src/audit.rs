@@ -81,6 +81,13 @@ fn unused_modules(dataflows: &Path) -> Result<Vec<String>, GraphError> {
     for file in graphs(dataflows)? {
         let (_, nodes) = read::dataflow(&read::text_of(&file)?, &file)?;
         used.extend(nodes.iter().filter_map(|node| module_of(node, dataflows, dataflows)));
+        let params = nodes.iter().flat_map(|node| node.params.values());
+        let words = params.flat_map(|value| value.split_whitespace());
+        used.extend(
+            words
+                .filter(|word| word.ends_with(".yml"))
+                .map(|word| dataflows.join(word)),
+        );
     }
     for file in &modules {
         let folder = file.parent().unwrap_or(dataflows);

@@ -60,16 +60,23 @@ pub fn hosted(
         nodes: vec![node],
         detection: None,
     };
-    graph.expand()
+    as_dora(&graph, true)
 }
 
 /// Where a module's outputs come from: output -> (node, its output).
 type Outlets = BTreeMap<String, (String, String)>;
 
 pub(super) fn expand(graph: &Graph) -> Result<FlatGraph, GraphError> {
+    Ok(as_dora(graph, false)?.with_short_names())
+}
+
+/// The graph with the names that dora gives; `alone`: one process, whose outputs are all taken.
+fn as_dora(graph: &Graph, alone: bool) -> Result<FlatGraph, GraphError> {
     let root = graph.file.parent().unwrap_or(Path::new("/")).to_path_buf();
     let mut expansion = Expansion {
         root: &root,
+        variables: variables::of_graph(&graph.settings),
+        alone,
         detection: graph.detection.as_deref(),
         swapped: 0,
         open: Vec::new(),
@@ -86,8 +93,18 @@ pub(super) fn expand(graph: &Graph) -> Result<FlatGraph, GraphError> {
         expansion.size.take(1, weight(node)).map_err(wrong)?;
     }
     let mut nodes = graph.nodes.clone();
-    fill_in(&mut nodes, &variables::of_graph(&graph.settings), &graph.file)?;
-    let (mut nodes, _) = expansion.level(nodes, &root, &graph.file)?;
+    for node in &mut nodes {
+        fill_in(node, &expansion.variables, &graph.file)?;
+    }
+    let (processes, _) = expansion.level(nodes, &root, &graph.file)?;
+    let mut ids = BTreeSet::new();
+    if let Some(twice) = processes.iter().find(|node| !ids.insert(&node.id)) {
+        return Err(GraphError::Duplicate {
+            file: graph.file.clone(),
+            id: twice.id.clone(),
+        });
+    }
+    let mut nodes = expansion.with_stages(processes)?;
     if graph.detection.is_some() && expansion.swapped == 0 {
         return Err(GraphError::NoDetectModule {
             file: graph.file.clone(),
@@ -110,33 +127,36 @@ pub(super) fn expand(graph: &Graph) -> Result<FlatGraph, GraphError> {
     FlatGraph::new(graph.file.clone(), graph.settings.clone(), nodes)
 }
 
-/// Replaces the names of variables in the arguments of a graph's own stages and hosts.
-fn fill_in(nodes: &mut [Node], known: &BTreeMap<String, String>, file: &Path) -> Result<(), GraphError> {
-    for node in nodes
-        .iter_mut()
-        .filter(|node| node.path.as_deref().is_some_and(is_realo))
-    {
-        let named = node.args.as_deref().filter(|args| variables::named(args).is_some());
-        let Some(words) = named.and_then(shlex::split) else {
-            continue;
-        };
-        let words = words
-            .iter()
-            .map(|word| variables::with_variables(word, |name| known.get(name).cloned()));
-        let words: Vec<String> = words.collect();
-        let args = shlex::try_join(words.iter().map(String::as_str)).map_err(|error| GraphError::Node {
-            file: file.into(),
-            node: node.id.clone(),
-            reason: error.to_string(),
-        })?;
-        node.args = Some(args);
-    }
+/// Replaces the names of variables in the arguments of a process of ours.
+fn fill_in(node: &mut Node, known: &BTreeMap<String, String>, file: &Path) -> Result<(), GraphError> {
+    let args = node
+        .args
+        .as_deref()
+        .filter(|_| node.path.as_deref().is_some_and(is_realo));
+    let named = args.filter(|args| variables::named(args).is_some());
+    let Some(words) = named.and_then(shlex::split) else {
+        return Ok(());
+    };
+    let words = words
+        .iter()
+        .map(|word| variables::with_variables(word, |name| known.get(name).cloned()));
+    let words: Vec<String> = words.collect();
+    let args = shlex::try_join(words.iter().map(String::as_str)).map_err(|error| GraphError::Node {
+        file: file.into(),
+        node: node.id.clone(),
+        reason: error.to_string(),
+    })?;
+    node.args = Some(args);
     Ok(())
 }
 
 struct Expansion<'a> {
     /// The graph's folder.
     root: &'a Path,
+    /// What the graph says once for all its nodes.
+    variables: BTreeMap<String, String>,
+    /// Whether one process is looked at without those that take its outputs.
+    alone: bool,
     /// Name of the detection that takes every other's place.
     detection: Option<&'a str>,
     /// Modules of detection.
@@ -236,26 +256,18 @@ impl Expansion<'_> {
         let mut producers = Producers::new();
         let mut modules = BTreeMap::new();
         for node in nodes {
-            if let Some(hosted) = hosted_by(&node, file)? {
-                let (inner, outlets) = self.host(&node, &hosted, file)?;
-                for output in outlets.keys() {
-                    producers
-                        .entry(output.clone())
-                        .or_default()
-                        .push((node.id.clone(), output.clone()));
-                }
-                self.hosts.insert(node.id.clone(), outlets);
-                flat.extend(inner);
-                continue;
-            }
             let Some(module) = node.module.clone() else {
+                self.hosts_nothing(&node, file)?;
                 for output in &node.outputs {
                     producers
                         .entry(output.clone())
                         .or_default()
                         .push((node.id.clone(), output.clone()));
                 }
-                flat.push(node);
+                flat.push(Node {
+                    file: file.into(),
+                    ..node
+                });
                 continue;
             };
             let wrong = |reason| GraphError::Module {
@@ -277,23 +289,71 @@ impl Expansion<'_> {
         Ok((flat, producers))
     }
 
-    /// The process of a host, and its stages. Its module's file is seen from the graph's folder, where dora starts it.
+    /// Refuses a host within a host.
+    fn hosts_nothing(&self, node: &Node, file: &Path) -> Result<(), GraphError> {
+        match (&self.host, hosted_by(node, file)?) {
+            (Some(host), Some(Hosted { module, .. })) => Err(GraphError::Module {
+                file: file.into(),
+                node: node.id.clone(),
+                reason: format!(
+                    "it stands in a module that `{host}` hosts: write `module: {module}`, its stages run in the same process"
+                ),
+            }),
+            _ => Ok(()),
+        }
+    }
+
+    /// The processes, and behind each host its stages.
+    fn with_stages(&mut self, processes: Vec<Node>) -> Result<Vec<Node>, GraphError> {
+        let mut taken: BTreeSet<(String, String)> = BTreeSet::new();
+        let offered: BTreeMap<&str, Vec<&str>> = processes
+            .iter()
+            .filter(|node| is_host(node))
+            .map(|node| (node.id.as_str(), node.outputs.iter().map(String::as_str).collect()))
+            .collect();
+        for node in &processes {
+            for (port, input) in &node.inputs {
+                let Some((source, output)) = input.output() else {
+                    continue;
+                };
+                taken.insert((source.into(), output.into()));
+                if let Some(offered) = offered.get(source).filter(|offered| !offered.contains(&output)) {
+                    return Err(GraphError::Module {
+                        file: node.file.clone(),
+                        node: source.into(),
+                        reason: no_output(output, offered, &node.id, port),
+                    });
+                }
+            }
+        }
+        let mut nodes = Vec::new();
+        for node in processes {
+            let Some(hosted) = hosted_by(&node, &node.file)? else {
+                nodes.push(node);
+                continue;
+            };
+            let is_taken = |output: &String| self.alone || taken.contains(&(node.id.clone(), output.clone()));
+            let used: BTreeSet<String> = node.outputs.iter().filter(|output| is_taken(output)).cloned().collect();
+            let (stages, outlets) = self.host(&node, &hosted, &used)?;
+            self.hosts.insert(node.id.clone(), outlets);
+            nodes.extend(stages);
+        }
+        Ok(nodes)
+    }
+
+    /// The process of a host, and its stages: those that something needs of which an output is in `used`. Its module's file
+    /// is seen from the graph's folder, where dora starts it.
     fn host(
         &mut self,
         node: &Node,
         Hosted { module, settings }: &Hosted,
-        file: &Path,
+        used: &BTreeSet<String>,
     ) -> Result<(Vec<Node>, Outlets), GraphError> {
         let wrong = |reason| GraphError::Module {
-            file: file.into(),
+            file: node.file.clone(),
             node: node.id.clone(),
             reason,
         };
-        if let Some(host) = &self.host {
-            return Err(wrong(format!(
-                "it stands in a module that `{host}` hosts: write `module: {module}`, its stages run in the same process"
-            )));
-        }
         let module = self.detection(module);
         self.swapped += usize::from(is_detection(&module));
         let outer = Node {
@@ -304,7 +364,7 @@ impl Expansion<'_> {
         let expanded = self.module(&outer, &module, self.root, &wrong);
         self.host = None;
         let (mut stages, mut outlets) = expanded?;
-        if let Some(output) = node.outputs.iter().find(|output| !outlets.contains_key(*output)) {
+        if let Some(output) = used.iter().find(|output| !outlets.contains_key(*output)) {
             let known: Vec<&str> = outlets.keys().map(String::as_str).collect();
             let hint = super::error::hint(&realo_operator::config::nearest_name(output, known.iter().copied()));
             let known = known.join(", ");
@@ -312,7 +372,12 @@ impl Expansion<'_> {
                 "its module has no output `{output}`{hint}; it has: {known}"
             )));
         }
-        outlets.retain(|output, _| node.outputs.contains(output));
+        let offered: Outlets = outlets
+            .clone()
+            .into_iter()
+            .filter(|(output, _)| node.outputs.contains(output))
+            .collect();
+        outlets.retain(|output, _| used.contains(output));
         for setting in settings {
             take_inputs(&mut stages, &node.id, setting).map_err(&wrong)?;
         }
@@ -346,11 +411,11 @@ impl Expansion<'_> {
         let process = Node {
             args: Some(args),
             part: Part::Host,
-            outlets: outlets.clone(),
+            outlets,
             ..node.clone()
         };
         stages.insert(0, process);
-        Ok((stages, outlets))
+        Ok((stages, offered))
     }
 
     /// The module that stands for `module`: another one where a detection is asked for.
@@ -386,6 +451,9 @@ impl Expansion<'_> {
         self.size.take(0, content.bytes).map_err(wrong)?;
         check_inputs(&content, outer).map_err(wrong)?;
         params::check_names(&outer.params).map_err(wrong)?;
+        if self.host.is_none() {
+            check_params(&content, outer).map_err(wrong)?;
+        }
         let declared = content.outputs.clone();
         let name = content.name.clone();
         let inner = self.inner_nodes(content, outer, &place.folder).map_err(wrong)?;
@@ -424,6 +492,9 @@ impl Expansion<'_> {
                 .map(|args| params::substitute(&args, &outer.params))
                 .transpose()
                 .map_err(|reason| format!("its node `{}`: {reason}", node.id))?;
+            if self.host.is_none() {
+                fill_in(&mut node, &self.variables, folder).map_err(|error| error.to_string())?;
+            }
             for (key, value) in &outer.params {
                 // dora sets the parameter as it is; in a file `$$` says so.
                 node.env.insert(
@@ -451,6 +522,20 @@ fn is_realo(path: &str) -> bool {
     Path::new(path).file_name().is_some_and(|name| name == "realo")
 }
 
+/// A setting as hosts read it: `stage=program PATH …` and `stage=operator NAME …` put another stage in the place of one.
+fn whole_stage(setting: String) -> String {
+    match setting.split_once('=') {
+        Some((stage, words)) if words.starts_with("program ") || words.starts_with("operator ") => {
+            let stage = stage
+                .strip_suffix(super::flat::STAGE)
+                .and_then(|inner| inner.strip_suffix('.'))
+                .unwrap_or(stage);
+            format!("{stage}.{}={words}", super::flat::STAGE)
+        }
+        _ => setting,
+    }
+}
+
 /// The module that a node's process hosts; `None` for any other node.
 fn hosted_by(node: &Node, file: &Path) -> Result<Option<Hosted>, GraphError> {
     if !node.path.as_deref().is_some_and(is_realo) {
@@ -472,7 +557,7 @@ fn hosted_by(node: &Node, file: &Path) -> Result<Option<Hosted>, GraphError> {
         }),
         Some(module) => Ok(Some(Hosted {
             module,
-            settings: words.collect(),
+            settings: words.map(whole_stage).collect(),
         })),
         None => Err(GraphError::Node {
             file: file.into(),
@@ -597,6 +682,49 @@ pub(super) fn is_detection(module: &str) -> bool {
     file.starts_with("detect.") && file.ends_with(".yml")
 }
 
+/// The parameters that a module of processes names are those that its node gives. A module within it, or a program that is
+/// not ours, may read them from its environment.
+fn check_params(module: &Module, outer: &Node) -> Result<(), String> {
+    let ours = |node: &Node| node.path.as_deref().is_some_and(is_realo);
+    let named: BTreeSet<String> = module
+        .nodes
+        .iter()
+        .filter_map(|node| node.args.as_deref())
+        .flat_map(params::named)
+        .collect();
+    let known = || named.iter().cloned().collect::<Vec<_>>().join(", ");
+    let given: BTreeSet<String> = outer.params.keys().map(|key| key.to_lowercase()).collect();
+    if let Some(unused) = given
+        .iter()
+        .find(|key| !named.contains(*key))
+        .filter(|_| module.nodes.iter().all(ours))
+    {
+        let nearest = realo_operator::config::nearest_name(unused, named.iter().map(String::as_str));
+        let hint = super::error::hint(&nearest);
+        return Err(format!(
+            "module `{}` has no parameter `{unused}`{hint}; it has: {}",
+            module.name,
+            known()
+        ));
+    }
+    for node in module.nodes.iter().filter(|node| is_host(node)) {
+        let missing = params::named(node.args.as_deref().unwrap_or_default());
+        if let Some(missing) = missing.into_iter().find(|key| !given.contains(key)) {
+            return Err(format!(
+                "module `{}` needs the parameter `{missing}` for its node `{}`; write it under `params`",
+                module.name, node.id
+            ));
+        }
+    }
+    Ok(())
+}
+
+/// Whether a process of ours hosts a module.
+fn is_host(node: &Node) -> bool {
+    let args = node.args.as_deref().unwrap_or_default();
+    node.path.as_deref().is_some_and(is_realo) && args.split_whitespace().next() == Some("host")
+}
+
 fn check_inputs(module: &Module, outer: &Node) -> Result<(), String> {
     if let Some(missing) = module.inputs.iter().find(|port| !outer.inputs.contains_key(*port)) {
         return Err(format!(
@@ -674,6 +802,13 @@ fn outlets(module: &str, declared: &BTreeSet<String>, producers: &Producers) -> 
     declared.iter().map(find).collect()
 }
 
+/// That something has no output which a node takes.
+fn no_output(output: &str, known: &[&str], taker: &str, port: &str) -> String {
+    let hint = super::error::hint(&realo_operator::config::nearest_name(output, known.iter().copied()));
+    let known = known.join(", ");
+    format!("it has no output `{output}`{hint}, which node `{taker}` takes for its input `{port}`; it has: {known}")
+}
+
 /// Turns inputs from modules into inputs from the nodes that make them.
 fn rewire(node: &mut Node, modules: &BTreeMap<String, Outlets>, file: &Path) -> Result<(), GraphError> {
     for (port, input) in &mut node.inputs {
@@ -683,12 +818,7 @@ fn rewire(node: &mut Node, modules: &BTreeMap<String, Outlets>, file: &Path) -> 
         let Some(outlets) = modules.get(source) else { continue };
         let Some((inner, inner_output)) = outlets.get(output) else {
             let known: Vec<&str> = outlets.keys().map(String::as_str).collect();
-            let hint = super::error::hint(&realo_operator::config::nearest_name(output, known.iter().copied()));
-            let reason = format!(
-                "it has no output `{output}`{hint}, which node `{}` takes for its input `{port}`; it has: {}",
-                node.id,
-                known.join(", ")
-            );
+            let reason = no_output(output, &known, &node.id, port);
             return Err(GraphError::Module {
                 file: file.into(),
                 node: source.clone(),

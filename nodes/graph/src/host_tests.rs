@@ -434,11 +434,6 @@ fn refuses_what_a_host_cannot_be() {
             "module node `v2x`: its file",
         ),
         (
-            "outputs: [boxes]",
-            "outputs: [boxes, packet]",
-            "module node `ego`: its module has no output `packet` (did you mean `packets`?); it has: boxes, packets",
-        ),
-        (
             "clouds: player/ego_clouds, ",
             "",
             "module node `ego`: module `lane` needs the input `clouds`",
@@ -451,7 +446,7 @@ fn refuses_what_a_host_cannot_be() {
         (
             "ego: ego/boxes",
             "ego: ego/packets",
-            "module node `ego`: it has no output `packets`, which node `fusion.bank` takes for its input `ego`; it has: boxes",
+            "module node `ego`: it has no output `packets`, which node `fusion` takes for its input `ego`; it has: boxes",
         ),
         ("id: others", "id: ego", "two nodes have the id `ego"),
         ("id: player", "id: ego.nms", "two nodes have the id `ego.nms`"),
@@ -460,6 +455,83 @@ fn refuses_what_a_host_cannot_be() {
     for (from, to, expected) in cases {
         let error = refused(from, to);
         assert!(error.contains(expected), "{to}\n{error}");
+    }
+}
+
+#[test]
+fn refuses_an_output_that_a_module_has_not_and_somebody_takes() {
+    let offers = GRAPH.replacen("outputs: [boxes]", "outputs: [boxes, packet]", 1);
+    assert!(load(folder(&[("g.yml", &offers)]).path()).is_ok(), "nobody takes it");
+    let takes = changed(&offers, "ego: ego/boxes", "ego: ego/packet");
+    let error = load(folder(&[("g.yml", &takes)]).path()).unwrap_err();
+    let expected =
+        "module node `ego`: its module has no output `packet` (did you mean `packets`?); it has: boxes, packets";
+    assert!(error.contains(expected), "{error}");
+}
+
+const CAR: &str = "
+module: { name: car, inputs: [clouds, recorded], outputs: [boxes] }
+nodes:
+  - id: lane
+    path: ../bin/realo
+    args: host $PARAM_LANE
+    inputs: { clouds: _mod/clouds, recorded: _mod/recorded }
+    outputs: [boxes]
+";
+
+/// A graph whose modules of processes get parameters.
+fn with_params(params: &str) -> Result<FlatGraph, String> {
+    let car = format!(
+        "  - {{ id: car, module: modules/car.yml, inputs: {{ clouds: player/clouds, recorded: player/recorded }}, params: {params} }}"
+    );
+    let graph = format!(
+        "env: {{ OVERLAP: much }}\nnodes:\n  - {{ id: player, path: bin/realo, args: node player, outputs: [clouds, recorded] }}\n\
+         {car}\n  - {{ id: last, path: bin/last, inputs: {{ boxes: car/boxes }} }}\n"
+    );
+    let folder = folder(&[("g.yml", &graph), ("modules/car.yml", CAR)]);
+    let flat = load(folder.path())?;
+    if let Some(dora) = dora() {
+        compare(&dora, &folder.path().join("g.yml"));
+    }
+    Ok(flat)
+}
+
+#[test]
+fn parameters_choose_what_a_module_hosts() {
+    let flat = with_params("{ lane: modules/detect.network.yml nms.threshold=$OVERLAP }").unwrap();
+    assert_eq!(flat.node("lane.nms").unwrap().settings(), ["threshold=much"]);
+    let own = "{ lane: modules/detect.network.yml \"nms=program plug/nms.py overlap=$OVERLAP\" }";
+    let flat = with_params(own).unwrap();
+    assert_eq!(
+        flat.node("lane.nms").unwrap().args,
+        ["program", "plug/nms.py", "overlap=much"]
+    );
+    let shipped = "{ lane: modules/detect.network.yml \"nms=operator other\" }";
+    assert_eq!(
+        with_params(shipped).unwrap().node("lane.nms").unwrap().args,
+        ["operator", "other"]
+    );
+}
+
+#[test]
+fn refuses_parameters_that_a_module_does_not_name_or_lacks() {
+    for (params, expected) in [
+        (
+            "{ lain: x.yml }",
+            "module node `car`: module `car` has no parameter `lain` (did you mean `lane`?); it has: lane",
+        ),
+        (
+            "{}",
+            "module node `car`: module `car` needs the parameter `lane` for its node `lane`; write it under `params`",
+        ),
+        ("{ lane: modules/none.yml }", "none.yml"),
+        (
+            "{ lane: 'modules/detect.network.yml \"nmb=program x\"' }",
+            "no stage `nmb` (did you mean `nms`?)",
+        ),
+    ] {
+        let error = with_params(params).unwrap_err();
+        assert!(error.contains(expected), "{params}\n{error}");
     }
 }
 
@@ -503,6 +575,8 @@ fn an_output_that_nothing_makes_is_named_with_the_stage_behind_it() {
     );
     let module = module.replace("outputs: [boxes, packets]", "outputs: [boxes, packets, data]");
     let graph = GRAPH.replacen("outputs: [boxes]", "outputs: [boxes, data]", 1);
+    let taker = "  - { id: taker, path: bin/taker, inputs: { data: ego/data } }\n";
+    let graph = format!("{}\n{taker}", graph.trim_end());
     let folder = folder(&[("g.yml", &graph), ("modules/detect.network.yml", &module)]);
     let error = load(folder.path()).unwrap_err();
     let expected = "nothing comes out of its output `data`: nobody feeds the stage `ego.receiver` behind it";
@@ -524,25 +598,26 @@ fn stages_behind_one_that_nobody_feeds_are_left_out_too() {
         stage("z", "i: y/y, j: _mod/a", "z"),
         stage("sink", "i: y/y", "")
     );
-    let graph = "nodes: [{ id: s, path: s, outputs: [o] }, { id: h, path: realo, args: host m.yml, inputs: { a: s/o }, outputs: [z] }]";
+    let graph = "nodes: [{ id: s, path: s, outputs: [o] }, { id: h, path: realo, args: host m.yml, inputs: { a: s/o }, outputs: [z] }, \
+                 { id: t, path: t, inputs: { z: h/z } }]";
     let folder = folder(&[("g.yml", graph), ("m.yml", &module)]);
     let flat = load(folder.path()).unwrap();
-    assert_eq!(ids(&flat.nodes), ["s", "h.z"]);
+    assert_eq!(ids(&flat.nodes), ["s", "h.z", "t"]);
     let ports: Vec<&String> = flat.nodes[1].inputs.keys().collect();
     assert_eq!(ports, ["j"]);
     let fed = graph.replace("a: s/o", "a: s/o, b: s/o");
     write(folder.path(), &[("g.yml", &fed)]);
     assert_eq!(
         ids(&load(folder.path()).unwrap().nodes),
-        ["s", "h.x", "h.y", "h.z", "h.sink"]
+        ["s", "h.x", "h.y", "h.z", "h.sink", "t"]
     );
-    let quiet = fed.replace("outputs: [z]", "outputs: []");
+    let quiet = fed.replace("z: h/z", "z: s/o");
     write(folder.path(), &[("g.yml", &quiet)]);
     let left = load(folder.path()).unwrap();
     assert_eq!(
         ids(&left.nodes),
-        ["s", "h.x", "h.y", "h.sink"],
-        "a sink is reason enough"
+        ["s", "h.x", "h.y", "h.sink", "t"],
+        "a sink is reason enough, an output that nobody takes is none"
     );
 }
 
@@ -564,21 +639,23 @@ nodes:
   - { id: last, path: bin/realo, args: operator nms, inputs: { proposals: car/boxes }, outputs: [boxes] }
   - { id: direct, path: bin/realo, args: operator nms, inputs: { proposals: car.lane/boxes } }
   - { id: post, path: bin/realo, args: host modules/post.yml, inputs: { proposals: car/boxes }, outputs: [boxes] }
+  - { id: after, path: bin/after, inputs: { boxes: post/boxes } }
 ";
     let post = "module: { name: post, inputs: [proposals], outputs: [boxes] }\n\
                 nodes: [{ id: nms, path: ../bin/realo, args: operator nms, inputs: { proposals: _mod/proposals }, outputs: [boxes] }]";
     let folder = folder(&[("g.yml", graph), ("modules/car.yml", car), ("modules/post.yml", post)]);
     let flat = load(folder.path()).unwrap();
-    let lane = ["car.lane.sense.sync", "car.lane.nms"];
+    let lane = ["lane.sense.sync", "lane.nms"];
     assert_eq!(
         ids(&flat.nodes),
-        ["player", lane[0], lane[1], "last", "direct", "post.nms"]
+        ["player", lane[0], lane[1], "last", "direct", "post.nms", "after"],
+        "`car` only groups processes"
     );
     for id in ["last", "direct", "post.nms"] {
         let wire = &flat.node(id).unwrap().inputs["proposals"];
-        assert_eq!(wire.output(), Some(("car.lane.nms", "boxes")), "{id}");
+        assert_eq!(wire.output(), Some(("lane.nms", "boxes")), "{id}");
     }
-    assert_eq!(flat.hosts[1].inputs["proposals"].output(), Some(("car.lane", "boxes")));
+    assert_eq!(flat.hosts[1].inputs["proposals"].output(), Some(("lane", "boxes")));
     assert!(flat.ranks(&realo_operator::Registry(&[])).is_ok());
     let Some(dora) = dora() else { return };
     compare(&dora, &folder.path().join("g.yml"));

@@ -10,6 +10,7 @@ mod check;
 mod error;
 mod expand;
 mod flat;
+mod names;
 mod order;
 mod params;
 mod paths;
@@ -35,6 +36,7 @@ pub use check::{Answer, Finding, Severity, misdeclared, validate, validate_askin
 pub use error::GraphError;
 pub use expand::{OUTSIDE, hosted};
 pub use flat::{FlatGraph, FlatNode, Input, InputSource, Setting};
+pub use names::short_names;
 pub use paths::normalized;
 pub use replace::Replacement;
 pub use variables::with_variables;

@@ -28,6 +28,19 @@ pub(super) fn substitute(text: &str, params: &BTreeMap<String, String>) -> Resul
     Ok(out + rest)
 }
 
+/// The parameters that a text names, in small letters.
+pub(super) fn named(text: &str) -> Vec<String> {
+    let starts = text.match_indices('$').map(|(start, _)| &text[start..]);
+    let none = BTreeMap::new();
+    let name = |rest: &str| {
+        let (token, _) = token(rest, &none);
+        let braced = || token.strip_prefix("${_param.")?.strip_suffix('}');
+        let name = token.strip_prefix("$PARAM_").or_else(braced)?;
+        Some(name.to_lowercase()).filter(|name| !name.is_empty())
+    };
+    starts.filter_map(name).collect()
+}
+
 /// The token at the head of `text`, and its value if a parameter has it.
 fn token<'a>(text: &'a str, params: &'a BTreeMap<String, String>) -> (&'a str, Option<&'a str>) {
     if let Some(after) = text.strip_prefix("${_param.") {
@@ -86,6 +99,12 @@ mod tests {
         for (text, expected) in cases {
             assert_eq!(substitute(text, &params).as_deref(), Ok(expected), "{text}");
         }
+    }
+
+    #[test]
+    fn knows_what_a_text_names() {
+        let text = "host $PARAM_LANE ${_param.More} a=$PARAM_OUT/x $5 $PARAM_ ${_param.a $HOME";
+        assert_eq!(named(text), ["lane", "more", "out"]);
     }
 
     #[test]

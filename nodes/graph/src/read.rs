@@ -1,7 +1,7 @@
 //! YAML of dataflows and modules as typed values; stricter than dora, which overlooks unknown keys of inputs.
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use serde_yaml::{Mapping, Value};
 
@@ -100,6 +100,8 @@ pub(super) enum Part {
 /// A node as written.
 #[derive(Clone, Debug, Default)]
 pub(super) struct Node {
+    /// The file in which it is written.
+    pub file: PathBuf,
     pub part: Part,
     /// Of a host: for each of its outputs the stage and the stage's output behind it.
     pub outlets: BTreeMap<String, (String, String)>,
@@ -260,6 +262,7 @@ fn read_node(place: &Place, index: usize, value: &Value) -> Result<Node, GraphEr
         deploy: given("deploy").cloned(),
         other,
         id,
+        file: place.file.into(),
         part: Part::Alone,
         outlets: BTreeMap::new(),
         starved: false,

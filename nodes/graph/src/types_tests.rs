@@ -125,7 +125,7 @@ fn columns(payload: PayloadType) -> Vec<(String, String)> {
 
 #[test]
 fn the_guide_lists_the_columns_of_all_payloads() {
-    let guide = include_str!("../../../docs/compose.md");
+    let guide = include_str!("../../../docs/reference/plugins.md");
     let (_, table) = guide
         .split_once("## Columns of the payloads")
         .expect("the guide has the section");
@@ -143,7 +143,7 @@ fn the_guide_lists_the_columns_of_all_payloads() {
                 names.map(|name| (name.to_string(), kind.to_string()))
             })
             .collect();
-        assert_eq!(found, columns(payload), "{payload}: docs/compose.md, wire");
+        assert_eq!(found, columns(payload), "{payload}: docs/reference/plugins.md, wire");
     }
 }
 

@@ -359,7 +359,7 @@ impl RunResult {
                     true,
                     format!(
                         "link {link}: {unaccounted} of {} {kind} messages are not accounted for, so it is not known whether they \
-                         were used; a fusion of your own says so by `used` (docs/compose.md)",
+                         were used; a fusion of your own says so by `used` (docs/reference/plugins.md)",
                         books.sent
                     ),
                 );

@@ -1,9 +1,10 @@
 //! What computes a network: the kernels on this processor, or candle on a GPU. No operator knows which.
 
-use realo_nn::Loaded;
-use realo_nn::canvas::Canvas;
-use realo_nn::fuse::Agent;
-use realo_nn::network::{BevMap, BevView, Heads, Network, NetworkError};
+use realo_kernels::agents::Agent;
+use realo_kernels::bev::{BevMap, BevView};
+use realo_kernels::canvas::Canvas;
+use realo_methods::Loaded;
+use realo_methods::network::{Heads, Network, NetworkError};
 use realo_operator::Steps;
 use realo_schemas::Elements;
 use serde::{Deserialize, Serialize};
@@ -46,7 +47,7 @@ pub enum EngineError {
     /// The GPU, or what it was given.
     #[cfg(feature = "cuda")]
     #[error("cuda: {0}")]
-    Device(#[from] realo_nn_candle::Error),
+    Device(#[from] realo_methods::candle::Error),
 }
 
 /// A network that is ready to run.
@@ -55,7 +56,7 @@ pub enum Engine {
     Kernels(Network),
     /// On a GPU.
     #[cfg(feature = "cuda")]
-    Candle(Box<realo_nn_candle::Engine>),
+    Candle(Box<realo_methods::candle::Engine>),
 }
 
 impl Engine {
@@ -78,7 +79,7 @@ impl Engine {
         match self {
             Engine::Kernels(network) => of_kernels(network.encode(canvas), steps),
             #[cfg(feature = "cuda")]
-            Engine::Candle(engine) => Ok(engine.encode(canvas, steps)?),
+            Engine::Candle(engine) => Ok(engine.encode(canvas, &mut Timed(steps))?),
         }
     }
 
@@ -90,7 +91,7 @@ impl Engine {
         match self {
             Engine::Kernels(network) => of_kernels(network.confidence(map), steps),
             #[cfg(feature = "cuda")]
-            Engine::Candle(engine) => Ok(engine.confidence(map, steps)?),
+            Engine::Candle(engine) => Ok(engine.confidence(map, &mut Timed(steps))?),
         }
     }
 
@@ -102,7 +103,7 @@ impl Engine {
         match self {
             Engine::Kernels(network) => of_kernels(network.fuse(agents), steps),
             #[cfg(feature = "cuda")]
-            Engine::Candle(engine) => Ok(engine.fuse(agents, steps)?),
+            Engine::Candle(engine) => Ok(engine.fuse(agents, &mut Timed(steps))?),
         }
     }
 
@@ -114,8 +115,19 @@ impl Engine {
         match self {
             Engine::Kernels(network) => of_kernels(network.heads(map), steps),
             #[cfg(feature = "cuda")]
-            Engine::Candle(engine) => Ok(engine.heads(map, steps)?),
+            Engine::Candle(engine) => Ok(engine.heads(map, &mut Timed(steps))?),
         }
+    }
+}
+
+/// Times the steps of a device for the stage.
+#[cfg(feature = "cuda")]
+struct Timed<'a>(&'a mut Steps);
+
+#[cfg(feature = "cuda")]
+impl realo_methods::candle::Watch for Timed<'_> {
+    fn step(&mut self, name: &'static str, work: &mut dyn FnMut()) {
+        self.0.time(name, work);
     }
 }
 
@@ -132,6 +144,7 @@ fn on_cuda(_: &Loaded, _: Elements) -> Result<Engine, EngineError> {
 #[cfg(feature = "cuda")]
 fn on_cuda(loaded: &Loaded, elements: Elements) -> Result<Engine, EngineError> {
     use candle_core::{DType, Device};
+    use realo_methods::candle;
     use realo_nn::model::Precision;
 
     let products = match loaded.precision {
@@ -142,8 +155,13 @@ fn on_cuda(loaded: &Loaded, elements: Elements) -> Result<Engine, EngineError> {
             return Err(EngineError::Precision { model });
         }
     };
+    let crossing = match elements {
+        Elements::F32 => candle::Elements::F32,
+        Elements::F16 => candle::Elements::F16,
+        Elements::Int8 => candle::Elements::Int8,
+    };
     let device = Device::new_cuda(0).map_err(EngineError::NoDevice)?;
-    let engine = realo_nn_candle::Engine::new(&loaded.model, &loaded.weights, &device, products, elements)?;
+    let engine = candle::Engine::new(&loaded.model, &loaded.weights, &device, products, crossing)?;
     Ok(Engine::Candle(Box::new(engine)))
 }
 
@@ -154,7 +172,7 @@ mod tests {
     #[test]
     fn a_build_without_cuda_says_how_to_build_one_that_has_it() {
         let lite = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/lite.toml");
-        let loaded = realo_nn::load(lite.as_ref(), realo_nn::Kernels::auto(1)).unwrap();
+        let loaded = realo_methods::load(lite.as_ref(), realo_methods::Kernels::auto(1)).unwrap();
         let error = Engine::new(loaded, Device::Cuda, Elements::Int8)
             .err()
             .expect("refused");

@@ -1,16 +1,18 @@
 //! BEV maps as messages: what a network makes, written; what another stage of the same model sent, read. And what computes
 //! the network: the [`Engine`].
 
+mod decoder;
 mod engine;
 
 use std::borrow::Cow;
 
 use arrow::buffer::Buffer;
-use realo_nn::Loaded;
-use realo_nn::network::{BevMap, BevView};
+use realo_kernels::bev::{BevMap, BevView};
+use realo_methods::Loaded;
 use realo_operator::{Argument, Error};
 use realo_schemas::{DType, FeatureMap, Name, feature_map};
 
+pub use decoder::{Decoded, Decoder};
 pub use engine::{Device, Engine, EngineError};
 
 /// Argument of every operator with a network: its instructions.
@@ -164,7 +166,7 @@ mod tests {
 
     #[test]
     fn arguments_name_all_instructions_and_number_types() {
-        let isas = realo_nn::conv::Isa::ALL.map(|isa| isa.to_string());
+        let isas = realo_kernels::conv::Isa::ALL.map(|isa| isa.to_string());
         let precisions = realo_nn::model::Precision::ALL.map(|precision| precision.to_string());
         for (argument, names) in [(super::ISA, &isas[..]), (super::PRECISION, &precisions[..])] {
             let words: Vec<&str> = argument.about.split([' ', ',', ':']).collect();

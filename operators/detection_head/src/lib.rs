@@ -12,19 +12,14 @@
 
 use std::path::PathBuf;
 
-use realo_bev::{Device, Engine, Maps};
-use realo_nn::Kernels;
+use realo_bev::{Decoder, Device, Engine, Maps};
+use realo_methods::Kernels;
 use realo_nn::anchors::Anchors;
-use realo_nn::decode::{Detection, candidates};
 use realo_operator::{
     Argument, Counter, Decided, Describe, Error, Operator, Outputs, Port, PortId, unexpected, wrong_port,
 };
-use realo_schemas::geometry::is_valid;
-use realo_schemas::{Box3, Boxes, Elements, FeatureMap, Header, Kind, Message, Name, PayloadType};
+use realo_schemas::{Boxes, Elements, FeatureMap, Header, Kind, Message, PayloadType};
 use serde::{Deserialize, Serialize};
-
-/// Boxes that a frame gives at most.
-const MOST: usize = 1000;
 
 /// Settings of [`DetectionHead`].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -34,7 +29,7 @@ pub struct Config {
     pub model: PathBuf,
     /// Smallest score; `None`: the model's.
     pub score_threshold: Option<f32>,
-    /// Kernels: `auto`, or one of [`realo_nn::conv::Isa`] that this processor has.
+    /// Kernels: `auto`, or one of [`realo_kernels::conv::Isa`] that this processor has.
     pub isa: String,
     /// Number type: `auto` for the model's, or one of [`realo_nn::model::Precision`].
     pub precision: String,
@@ -49,8 +44,8 @@ impl Default for Config {
         Config {
             model: "../models/lite.toml".into(),
             score_threshold: None,
-            isa: realo_nn::AUTO.into(),
-            precision: realo_nn::AUTO.into(),
+            isa: realo_methods::AUTO.into(),
+            precision: realo_methods::AUTO.into(),
             threads: 0,
             device: Device::default(),
         }
@@ -62,68 +57,6 @@ pub struct DetectionHead {
     engine: Engine,
     decoder: Decoder,
     maps: Maps,
-}
-
-/// From the numbers of the heads to boxes.
-#[derive(Clone, Debug)]
-pub struct Decoder {
-    anchors: Anchors,
-    classes: Vec<Name>,
-    threshold: f32,
-}
-
-/// The boxes of a frame.
-#[derive(Clone, Debug, Default, PartialEq)]
-pub struct Decoded {
-    /// Boxes above the threshold, best first.
-    pub boxes: Vec<Box3>,
-    /// Boxes above the threshold beyond the 1,000 best.
-    pub over_limit: u64,
-    /// Boxes with numbers that are not finite.
-    pub invalid: u64,
-}
-
-impl Decoder {
-    /// Boxes that score more than `threshold`, by the anchors of a head.
-    pub fn new(anchors: Anchors, threshold: f32) -> Self {
-        Decoder {
-            classes: anchors.classes.iter().map(|class| class.name.as_str().into()).collect(),
-            anchors,
-            threshold,
-        }
-    }
-
-    /// The boxes of scores and deltas, `[rows, columns, anchors * classes]` and `[rows, columns, anchors * 7]`.
-    ///
-    /// # Panics
-    /// If the maps' sizes are not those of the anchors.
-    pub fn decode(&self, scores: &[f32], deltas: &[f32]) -> Decoded {
-        let found = candidates(&self.anchors, scores, deltas, self.threshold, MOST);
-        let decoded = found.detections.len();
-        let boxes = found.detections.iter().map(|detection| self.boxed(detection));
-        let boxes: Vec<Box3> = boxes.filter(is_valid).collect();
-        Decoded {
-            invalid: (decoded - boxes.len()) as u64,
-            over_limit: found.over_limit,
-            boxes,
-        }
-    }
-
-    fn boxed(&self, detection: &Detection) -> Box3 {
-        let [x, y, z, height, width, length, yaw] = detection.hwl.map(f64::from);
-        Box3 {
-            center: [x, y, z],
-            length,
-            width,
-            height,
-            yaw: realo_schemas::geometry::normalize_yaw(yaw),
-            velocity: None,
-            class: self.classes[detection.class].clone(),
-            score: detection.score,
-            track: None,
-            covariance: None,
-        }
-    }
 }
 
 const FEATURES: PortId = PortId(0);
@@ -177,7 +110,7 @@ impl Operator for DetectionHead {
             precision: &config.precision,
             threads: config.threads,
         };
-        let loaded = realo_nn::load(&config.model, kernels)?;
+        let loaded = realo_methods::load(&config.model, kernels)?;
         let threshold = config.score_threshold.unwrap_or(loaded.model.score_threshold);
         if !(0.0..1.0).contains(&threshold) {
             return Err(format!("argument `score_threshold`: expected 0 to 1, found {threshold}").into());
@@ -213,7 +146,8 @@ impl Operator for DetectionHead {
 mod tests {
     use super::*;
 
-    use realo_schemas::DType;
+    use realo_schemas::geometry::is_valid;
+    use realo_schemas::{Box3, DType};
 
     const MODEL: &str = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/lite.toml");
 
@@ -241,7 +175,7 @@ mod tests {
                 .flat_map(|value| value.to_le_bytes())
                 .collect::<Vec<u8>>()
                 .into(),
-            model: realo_nn::load(MODEL.as_ref(), Kernels::auto(1))
+            model: realo_methods::load(MODEL.as_ref(), Kernels::auto(1))
                 .unwrap()
                 .identity
                 .as_str()
@@ -267,10 +201,10 @@ mod tests {
     #[test]
     fn boxes_come_best_first_and_at_most_so_many() {
         let (boxes, over) = detected(&mut head(Some(0.0)).unwrap(), map(0.0)).unwrap();
-        assert_eq!(boxes.len(), MOST);
+        assert_eq!(boxes.len(), Decoder::MOST);
         assert_eq!(
             over,
-            100 * 256 * 6 - MOST as u64,
+            100 * 256 * 6 - Decoder::MOST as u64,
             "six anchors in each cell, all above 0"
         );
         assert!(boxes.windows(2).all(|pair| pair[0].score >= pair[1].score));

@@ -18,8 +18,9 @@ use std::path::PathBuf;
 use nalgebra::Isometry3;
 use realo_bev::{Device, Engine, Maps, Read};
 use realo_fusion::{Collaborator, EGO, Pairing, SELECTIONS, Set};
-use realo_nn::Kernels;
-use realo_nn::fuse::{Agent, Warp};
+use realo_kernels::agents::Agent;
+use realo_kernels::warp::Warp;
+use realo_methods::Kernels;
 use realo_operator::{Argument, Counter, Decided, Describe, Error, Operator, Outputs, Port, PortId, wrong_port};
 use realo_schemas::{Elements, FeatureMap, Message, Name, Nanos, PayloadType};
 use serde::{Deserialize, Serialize};
@@ -34,7 +35,7 @@ pub struct Config {
     pub max_collaborators: Option<usize>,
     /// Agents that are roadside units, by name, separated by commas; all others are vehicles. V2X-ViT tells them apart.
     pub roadside: String,
-    /// Kernels: `auto`, or one of [`realo_nn::conv::Isa`] that this processor has.
+    /// Kernels: `auto`, or one of [`realo_kernels::conv::Isa`] that this processor has.
     pub isa: String,
     /// Number type: `auto` for the model's, or one of [`realo_nn::model::Precision`].
     pub precision: String,
@@ -50,8 +51,8 @@ impl Default for Config {
             model: "../models/lite-attfuse.toml".into(),
             max_collaborators: None,
             roadside: String::new(),
-            isa: realo_nn::AUTO.into(),
-            precision: realo_nn::AUTO.into(),
+            isa: realo_methods::AUTO.into(),
+            precision: realo_methods::AUTO.into(),
             threads: 0,
             device: Device::default(),
         }
@@ -113,7 +114,7 @@ impl Operator for FusionFeatures {
             precision: &config.precision,
             threads: config.threads,
         };
-        let loaded = realo_nn::load(&config.model, kernels)?;
+        let loaded = realo_methods::load(&config.model, kernels)?;
         let model = config.model.display();
         let most = loaded.model.arch.agents() - 1;
         if !loaded.model.arch.fuses() {
@@ -229,7 +230,7 @@ mod tests {
     use nalgebra::{Translation3, UnitQuaternion};
     use realo_engine::testkit::FusionCase;
     use realo_fusion::FUSED;
-    use realo_nn::network::BevMap;
+    use realo_kernels::bev::BevMap;
     use realo_schemas::report::Fate;
     use realo_schemas::{Header, Kind, Pose, Selection};
 

@@ -2,7 +2,7 @@
 //!
 //! A box here is seven numbers: x, y, z of the centre, height, width, length (m), yaw (rad).
 
-use crate::model::{ClassAnchor, Matching, Model};
+use crate::model::{Architecture, ClassAnchor, Matching, Model};
 
 /// x, y, z, height, width, length, yaw.
 pub type Hwl<T> = [T; 7];
@@ -22,7 +22,7 @@ pub struct Anchors {
 
 impl Anchors {
     /// The anchors of a model's heads, in the frame in which its boxes go.
-    pub fn of(model: &Model) -> Self {
+    pub fn of<A: Architecture>(model: &Model<A>) -> Self {
         let [rows, columns] = model.map_size();
         let class = |class: &ClassAnchor| ClassAnchor {
             z: class.z + model.height(),
@@ -36,9 +36,8 @@ impl Anchors {
         }
     }
 
-    /// For tests: the anchors of V2X-Real over a map. Their second heading is 1.57, not π/2; weights depend on it.
-    #[cfg(test)]
-    pub(crate) fn v2x_real(cells: Cells) -> Self {
+    /// The anchors of V2X-Real over a map. Their second heading is 1.57, not π/2; weights depend on it.
+    pub fn v2x_real(cells: Cells) -> Self {
         let class = |name: &str, [length, width, height]: [f64; 3], z, [unmatched, matched]: [f64; 2]| ClassAnchor {
             name: name.into(),
             length,
@@ -61,7 +60,7 @@ impl Anchors {
     }
 
     /// What of an object is laid beside anchors: it, or it in the nearest of their headings.
-    pub(crate) fn beside(&self, object: &Hwl<f64>) -> Hwl<f64> {
+    pub fn beside(&self, object: &Hwl<f64>) -> Hwl<f64> {
         let [.., yaw] = *object;
         // Front and rear are alike.
         let off = |rotation: &f64| libm::sin(yaw - rotation).abs();
@@ -121,9 +120,8 @@ pub struct Cells {
 }
 
 impl Cells {
-    /// For tests: the map that `stride` voxels of side `voxel` (m) make one cell of, over x and y ranges; cells cover it all.
-    #[cfg(test)]
-    pub(crate) fn new(x: [f64; 2], y: [f64; 2], voxel: f64, stride: usize) -> Self {
+    /// The map that `stride` voxels of side `voxel` (m) make one cell of, over x and y ranges; cells cover it all.
+    pub fn new(x: [f64; 2], y: [f64; 2], voxel: f64, stride: usize) -> Self {
         let count = |[from, to]: [f64; 2]| (((to - from) / voxel).round() / stride as f64).ceil() as usize;
         Self::divided(x, y, count(y), count(x))
     }

@@ -95,7 +95,7 @@ fn best(anchor: usize, logits: &[f32]) -> Best {
 }
 
 /// The score of a logit, 0 to 1.
-pub(crate) fn score(logit: f32) -> f32 {
+pub fn score(logit: f32) -> f32 {
     1.0 / (1.0 + libm::expf(-logit))
 }
 

@@ -2,8 +2,9 @@
 
 use std::collections::HashMap;
 
-use crate::layers::{Layers, Role, TensorSpec};
-use crate::model::Model;
+use crate::layers::Layers;
+use crate::model::{Architecture, Model};
+use crate::tensors::{Role, TensorSpec};
 use crate::weights::{Tensor, Weights};
 
 /// Numbers from -1 to 1 that depend on the seed alone.
@@ -34,12 +35,12 @@ impl Numbers {
 ///
 /// # Panics
 /// If the model does not fit together.
-pub fn weights(model: &Model, seed: u64) -> Weights {
+pub fn weights<A: Architecture>(model: &Model<A>, seed: u64) -> Weights {
     Weights::new(model, tensors(&Layers::of(model), seed)).expect("tensors of the model's own layers")
 }
 
 /// Tensors of layers.
-pub(crate) fn tensors(layers: &Layers, seed: u64) -> HashMap<String, Tensor> {
+pub fn tensors(layers: &Layers, seed: u64) -> HashMap<String, Tensor> {
     let mut numbers = Numbers::new(seed);
     let tensor = |spec: TensorSpec| {
         let mut data = numbers.list(spec.count());

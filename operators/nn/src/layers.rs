@@ -3,9 +3,7 @@
 //! A layer knows its tensors; a step says which maps the layer reads and which one it makes. What is computed before
 //! what follows from that alone ([`Layers::between`]).
 
-use crate::arch::Transformer;
-use crate::model::Model;
-use crate::{messages, transformer};
+use crate::tensors::{Role, TensorSpec};
 
 /// Numbers that describe a point of a pillar: x, y, z, intensity, offsets to the pillar's mean and to its centre.
 pub const POINT_FEATURES: usize = 10;
@@ -62,32 +60,15 @@ pub enum Layer {
     Fuse(FuseLayer),
 }
 
-/// A fusion of maps of so many channels.
+/// The fusion of the maps of several agents, brought to the ego's place, as one of the same size.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FuseLayer {
-    /// How.
-    pub fusion: Fusion,
     /// Channels of the maps.
     pub channels: usize,
-}
-
-/// How the maps of several agents, brought to the ego's place, become one of the same size.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub enum Fusion {
-    /// The largest of each feature.
-    Max,
-    /// In each cell the agents' features, weighted by the softmax of their products with the ego's over `√width`.
-    Attention {
-        /// Channels that the products are scaled for.
-        width: usize,
-    },
-    /// Attention over agents and over windows (V2X-ViT).
-    Transformer(Box<Transformer>),
-    /// Messages between all agents, and a gated unit (V2VNet).
-    Messages {
-        /// How often all agents send.
-        rounds: usize,
-    },
+    /// Channels of the backbone's last block, for which a fusion may scale its products.
+    pub width: usize,
+    /// Its tensors, in the order of the state dict.
+    pub tensors: Vec<TensorSpec>,
 }
 
 /// A linear layer with batch norm and ReLU on every point, and the maximum over a pillar's points.
@@ -122,79 +103,6 @@ pub struct ConvLayer {
     pub norm: Option<String>,
     /// Whether negative results become zero.
     pub relu: bool,
-}
-
-/// A tensor of a layer.
-#[derive(Clone, Debug, PartialEq)]
-pub struct TensorSpec {
-    /// Key in the file of weights.
-    pub key: String,
-    /// Size of each dimension.
-    pub shape: Vec<usize>,
-    /// What it is.
-    pub role: Role,
-}
-
-/// What a tensor is in its layer.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Role {
-    /// Factors of a layer; each result is a sum of `fan_in` products.
-    Weight {
-        /// Products of a sum.
-        fan_in: usize,
-    },
-    /// Summands of a layer.
-    Bias,
-    /// Factors of a batch norm.
-    NormWeight,
-    /// Summands of a batch norm.
-    NormBias,
-    /// What each delay adds, a row each; trained from sines on.
-    Delays,
-    /// Running mean of a batch norm.
-    RunningMean,
-    /// Running variance of a batch norm.
-    RunningVariance,
-}
-
-/// The parts of a batch norm, in the order of the state dict.
-const NORM_PARTS: [(&str, Role); 4] = [
-    ("weight", Role::NormWeight),
-    ("bias", Role::NormBias),
-    ("running_mean", Role::RunningMean),
-    ("running_var", Role::RunningVariance),
-];
-
-/// Key of a part of a batch norm.
-///
-/// # Panics
-/// If a batch norm has no such part.
-pub fn norm_key(norm: &str, part: Role) -> String {
-    let named = NORM_PARTS.iter().find(|(_, role)| *role == part);
-    let (name, _) = named.expect("a part of a batch norm");
-    format!("{norm}.{name}")
-}
-
-impl Role {
-    /// Whether gradients move it; running statistics follow the batches instead.
-    pub fn is_trained(self) -> bool {
-        !matches!(self, Role::RunningMean | Role::RunningVariance)
-    }
-}
-
-impl TensorSpec {
-    /// Numbers that it holds.
-    pub fn count(&self) -> usize {
-        self.shape.iter().product()
-    }
-
-    fn norm(key: &str, channels: usize) -> impl Iterator<Item = TensorSpec> {
-        NORM_PARTS.into_iter().map(move |(part, role)| TensorSpec {
-            key: format!("{key}.{part}"),
-            shape: vec![channels],
-            role,
-        })
-    }
 }
 
 impl PointLayer {
@@ -270,21 +178,12 @@ impl Layer {
             Layer::Points(layer) => layer.tensors(),
             Layer::Convolution(layer) => layer.tensors(),
             Layer::Join => Vec::new(),
-            Layer::Fuse(FuseLayer { fusion, channels }) => match fusion {
-                Fusion::Max | Fusion::Attention { .. } => Vec::new(),
-                Fusion::Transformer(settings) => transformer::tensors(settings, *channels),
-                Fusion::Messages { .. } => messages::tensors(*channels),
-            },
+            Layer::Fuse(layer) => layer.tensors.clone(),
         }
     }
 }
 
 impl Layers {
-    /// The layers of a model that fits together.
-    pub fn of(model: &Model) -> Layers {
-        model.arch.layers(model)
-    }
-
     /// Size of a map.
     pub fn size(&self, map: MapId) -> MapSize {
         self.maps[map.0]
@@ -456,10 +355,13 @@ impl Builder {
     }
 
     /// Adds the fusion of several agents' maps.
-    pub fn fuse(&mut self, fusion: Fusion, from: MapId) -> MapId {
+    ///
+    /// # Panics
+    /// If it fuses another number of channels than the map has.
+    pub fn fuse(&mut self, layer: FuseLayer, from: MapId) -> MapId {
         let size = self.size(from);
-        let channels = size[2];
-        self.step(Layer::Fuse(FuseLayer { fusion, channels }), vec![from], size)
+        assert_eq!(size[2], layer.channels, "channels that are fused");
+        self.step(Layer::Fuse(layer), vec![from], size)
     }
 
     /// Size of a map so far.

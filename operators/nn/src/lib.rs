@@ -1,53 +1,47 @@
-//! The networks: model files and weights, pillars, convolutions, anchors, targets, loss and decoding.
-//!
-//! # Architectures
+//! What a network is: its model file, grid and anchors, its list of layers, its weights, and how heads become detections.
 //!
 //! A network is described once, as a list of layers ([`layers::Layers`]): which tensors a layer has, which maps it reads,
 //! which one it makes. The names and shapes that a file of weights must have, the plan of inference, the plan of training
 //! and the sizes of maps are all read from that list; nothing else knows an order of layers.
 //!
-//! Another architecture needs
-//! - a file `arch/<name>.rs` that puts its layers together, out of those of `arch/pointpillars.rs` where it shares them,
-//!   checks what does not fit, and holds the settings that only it has;
-//! - its variant of [`arch::Arch`] in `arch/mod.rs`, which makes it a model's `[arch]`;
-//! - if it computes what no layer here does: a variant of [`layers::Layer`] with its tensors, its kernel in `part.rs` and,
-//!   if it is to be trained, its operation in `tools/training/src/network.rs`. The compiler names these places;
-//! - if it fuses in a way of its own: a variant of [`layers::Fusion`] with its tensors, and a file with its kernel, as
-//!   `fuse.rs` (cell by cell), `transformer/` and `messages.rs` are.
-//!
-//! Weights, loading, the operators, training's loop and checkpoints stay as they are.
+//! Nothing here computes a network or knows a method of fusion: a [`model::Model`] is one of any
+//! [`model::Architecture`].
 
 // Tests may compare with the system's functions.
 #![cfg_attr(test, allow(clippy::disallowed_methods))]
 
 pub mod anchors;
-pub mod arch;
-pub mod calibration;
-pub mod canvas;
-mod cells;
-pub mod conv;
+pub mod bounded;
 pub mod decode;
 pub mod filler;
-pub mod full;
-pub mod fuse;
 pub mod layers;
-mod load;
-pub mod loss;
-mod math;
-pub mod messages;
 pub mod model;
-pub mod network;
-mod part;
-pub mod pillar_net;
-mod pillarer;
-pub mod pillars;
-mod simd;
-pub mod targets;
+pub mod tensors;
 #[cfg(test)]
+#[allow(dead_code, reason = "another crate's tests share it")]
 mod testing;
-pub mod transformer;
 #[cfg(test)]
 mod vectors;
 pub mod weights;
-pub use load::{AUTO, Kernels, LoadError, Loaded, ReadError, load};
-pub use pillarer::Pillarer;
+
+/// The model of tests: of a single agent.
+#[cfg(test)]
+type Model = model::Model<Alone>;
+
+/// Agents share no maps.
+#[cfg(test)]
+#[derive(Clone, Debug, Default, PartialEq, serde::Serialize, serde::Deserialize)]
+struct Alone {}
+
+#[cfg(test)]
+impl model::Architecture for Alone {
+    fn sharing(&self) -> Option<model::Sharing> {
+        None
+    }
+
+    fn check(&self, _: layers::MapSize, _: &mut model::Problems) {}
+
+    fn tensors(&self, _: usize) -> Vec<tensors::TensorSpec> {
+        Vec::new()
+    }
+}

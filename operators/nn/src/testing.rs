@@ -6,10 +6,12 @@ use std::path::Path;
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;
 
+use crate::Model;
+#[allow(unused_imports)]
 pub use crate::filler::Numbers;
 pub(crate) use crate::filler::tensors as random_tensors_of;
 use crate::layers::Layers;
-use crate::model::{Backbone, Frame, Grid, Model, Precision, Shrink};
+use crate::model::{Backbone, Frame, Grid, Precision, Shrink};
 use crate::weights::Tensor;
 
 /// The model that ships.
@@ -106,4 +108,15 @@ pub fn file_of(model: &Model, seed: u64) -> Vec<u8> {
         .iter()
         .map(|(key, shape, bytes)| (key, TensorView::new(Dtype::F32, shape.to_vec(), bytes).unwrap()));
     safetensors::serialize(views, None).unwrap()
+}
+
+/// The grid of a vector's `range`, with cells of 0.4 m.
+pub fn grid_of(vector: &crate::vectors::Vector) -> Grid {
+    let [x0, y0, z0, x1, y1, z1] = vector.list("range");
+    Grid {
+        x: [x0, x1],
+        y: [y0, y1],
+        z: [z0, z1],
+        cell: 0.4,
+    }
 }

@@ -79,17 +79,6 @@ impl Vector {
             .try_into()
             .unwrap()
     }
-
-    /// The grid of `range` with cells of 0.4 m.
-    pub fn grid(&self) -> crate::model::Grid {
-        let [x0, y0, z0, x1, y1, z1] = self.list("range");
-        crate::model::Grid {
-            x: [x0, x1],
-            y: [y0, y1],
-            z: [z0, z1],
-            cell: 0.4,
-        }
-    }
 }
 
 /// Channels last of a `[n, channels, rows, columns]` tensor.

@@ -6,9 +6,10 @@ use std::path::{Path, PathBuf};
 use safetensors::{Dtype, SafeTensors};
 use sha2::{Digest, Sha256};
 
-use crate::layers::{Layers, Role, TensorSpec, norm_key};
-use crate::load::{ReadError, read_bounded};
-use crate::model::{Model, ModelFile};
+use crate::bounded::{ReadError, read_bounded};
+use crate::layers::Layers;
+use crate::model::{Architecture, Model, ModelFile};
+use crate::tensors::{Role, TensorSpec, norm_key};
 
 /// Added to the variance by every batch norm.
 pub const BATCH_NORM_EPS: f32 = 1e-3;
@@ -18,7 +19,7 @@ const MOST_BYTES: u64 = 1 << 31;
 
 /// Keys and shapes of a model's tensors, in the order of the state dict. Convolutions are `[out, in, k, k]`, transposed
 /// ones `[in, out, k, k]`, linear layers `[out, in]`.
-pub fn expected(model: &Model) -> Vec<(String, Vec<usize>)> {
+pub fn expected<A: Architecture>(model: &Model<A>) -> Vec<(String, Vec<usize>)> {
     let layers = Layers::of(model);
     layers.tensors().map(|tensor| (tensor.key, tensor.shape)).collect()
 }
@@ -101,7 +102,7 @@ pub fn sha256(bytes: &[u8]) -> String {
     Sha256::digest(bytes).iter().map(|byte| format!("{byte:02x}")).collect()
 }
 
-fn check_sum(path: &Path, bytes: &[u8], model: &Model) -> Result<(), WeightsError> {
+fn check_sum<A>(path: &Path, bytes: &[u8], model: &Model<A>) -> Result<(), WeightsError> {
     let stem = path.file_stem().unwrap_or_default().to_string_lossy();
     let Some(expected) = model.sha256.get(&*stem) else {
         return Ok(());
@@ -123,7 +124,7 @@ impl Weights {
     /// # Errors
     /// [`WeightsError::Read`], [`WeightsError::Syntax`], and [`WeightsError::File`] with that of [`Weights::new`], where a
     /// tensor that is not F32 is a problem too.
-    pub fn read(paths: &[impl AsRef<Path>], model: &Model) -> Result<Weights, WeightsError> {
+    pub fn read<A: Architecture>(paths: &[impl AsRef<Path>], model: &Model<A>) -> Result<Weights, WeightsError> {
         Weights::parse(&read_files(paths)?, model)
     }
 
@@ -131,7 +132,7 @@ impl Weights {
     ///
     /// # Errors
     /// As [`Weights::read`], but for reading; [`WeightsError::Checksum`].
-    pub fn parse(files: &[ModelFile], model: &Model) -> Result<Weights, WeightsError> {
+    pub fn parse<A: Architecture>(files: &[ModelFile], model: &Model<A>) -> Result<Weights, WeightsError> {
         let (mut tensors, mut problems) = (HashMap::new(), Vec::new());
         let layers = Layers::of(model);
         let encoder: HashSet<String> = layers.encoder().map(|tensor| tensor.key).collect();
@@ -154,15 +155,23 @@ impl Weights {
     ///
     /// # Errors
     /// [`WeightsError::Mismatch`] with all that differs from what [`expected`] lists.
-    pub fn new(model: &Model, tensors: HashMap<String, Tensor>) -> Result<Weights, WeightsError> {
+    pub fn new<A: Architecture>(model: &Model<A>, tensors: HashMap<String, Tensor>) -> Result<Weights, WeightsError> {
+        Weights::of_layers(&Layers::of(model), &model.name, tensors)
+    }
+
+    /// As [`Weights::new`], of layers by themselves; `name` is for errors.
+    ///
+    /// # Errors
+    /// As [`Weights::new`].
+    pub fn of_layers(layers: &Layers, name: &str, tensors: HashMap<String, Tensor>) -> Result<Weights, WeightsError> {
         let tensors = tensors
             .into_iter()
             .map(|(key, tensor)| (key, (tensor.shape, Some(tensor.data))));
-        Weights::checked(&Layers::of(model), &model.name, tensors.collect(), Vec::new())
+        Weights::checked(layers, name, tensors.collect(), Vec::new())
     }
 
-    /// The weights of layers; `name` is for errors. Numbers that are `None` are of another type than F32.
-    pub(crate) fn checked(
+    /// Numbers that are `None` are of another type than F32.
+    fn checked(
         layers: &Layers,
         name: &str,
         mut tensors: Found,
@@ -200,7 +209,7 @@ impl Weights {
     }
 
     /// The numbers of a tensor, if the model has it.
-    pub(crate) fn find(&self, key: &str) -> Option<&[f32]> {
+    pub fn find(&self, key: &str) -> Option<&[f32]> {
         self.tensors.get(key).map(Vec::as_slice)
     }
 
@@ -248,7 +257,10 @@ fn add_tensors(file: &SafeTensors, wanted: impl Fn(&str) -> bool, tensors: &mut 
 }
 
 /// Files of weights with their bytes.
-pub(crate) fn read_files(paths: &[impl AsRef<Path>]) -> Result<Vec<ModelFile>, WeightsError> {
+///
+/// # Errors
+/// [`WeightsError::Read`].
+pub fn read_files(paths: &[impl AsRef<Path>]) -> Result<Vec<ModelFile>, WeightsError> {
     let read = |path: &Path| match read_bounded(path, MOST_BYTES) {
         Ok(bytes) => Ok((path.to_path_buf(), bytes)),
         Err(error) => Err(WeightsError::Read {

@@ -19,9 +19,9 @@
 use std::path::PathBuf;
 
 use realo_bev::{Device, Engine, Maps};
-use realo_nn::network::BevView;
-use realo_nn::pillars::{Dropped, Points};
-use realo_nn::{Kernels, Pillarer};
+use realo_kernels::bev::BevView;
+use realo_methods::detect::pillars::{Dropped, Points};
+use realo_methods::{Kernels, Pillarer};
 use realo_operator::{
     Argument, Counter, Decided, Describe, Error, Operator, Outputs, Port, PortId, Steps, unexpected, wrong_port,
 };
@@ -34,7 +34,7 @@ use serde::{Deserialize, Serialize};
 pub struct Config {
     /// The model file; its weights lie beside it.
     pub model: PathBuf,
-    /// Kernels: `auto`, or one of [`realo_nn::conv::Isa`] that this processor has.
+    /// Kernels: `auto`, or one of [`realo_kernels::conv::Isa`] that this processor has.
     pub isa: String,
     /// Number type: `auto` for the model's, or one of [`realo_nn::model::Precision`].
     pub precision: String,
@@ -52,8 +52,8 @@ impl Default for Config {
     fn default() -> Self {
         Config {
             model: "../models/lite.toml".into(),
-            isa: realo_nn::AUTO.into(),
-            precision: realo_nn::AUTO.into(),
+            isa: realo_methods::AUTO.into(),
+            precision: realo_methods::AUTO.into(),
             threads: 0,
             confidence: false,
             device: Device::default(),
@@ -134,7 +134,7 @@ impl Operator for PillarEncoder {
             precision: &config.precision,
             threads: config.threads,
         };
-        let loaded = realo_nn::load(&config.model, kernels)?;
+        let loaded = realo_methods::load(&config.model, kernels)?;
         loaded.model.check_frame(&config.model)?;
         Ok(PillarEncoder {
             maps: Maps::of(&loaded),

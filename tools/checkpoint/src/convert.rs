@@ -3,9 +3,10 @@
 use std::collections::HashMap;
 use std::path::PathBuf;
 
-use realo_nn::arch::compression_of;
-use realo_nn::full;
-use realo_nn::model::Model;
+use realo_methods::Model;
+use realo_methods::full;
+use realo_nn::model::Architecture;
+use realo_nn::model::compression_of;
 use realo_nn::weights::{Tensor, Weights, WeightsError, expected, first_of, is_counter};
 
 use crate::checkpoint::{Checkpoint, ReadError};
@@ -88,9 +89,8 @@ fn shapes(checkpoint: &Checkpoint) -> Shapes<'_> {
 /// The model with the compressor that the tensors tell, if it can have that.
 fn compressed(model: Model, shapes: &Shapes) -> Model {
     let mut with = model.clone();
-    if let Some(compression) = with.arch.compression_mut() {
-        *compression = compression_of(|name| shapes.get(name).copied());
-    }
+    with.arch
+        .set_compression(compression_of(|name| shapes.get(name).copied()));
     match with.validate() {
         Ok(()) => with,
         Err(_) => model,
@@ -155,13 +155,13 @@ fn hint(checkpoint: &Checkpoint, model: &Model) -> String {
     if fits(model, &shapes) {
         return "names and shapes fit: save the weights again, in a type with fractions and without NaN".into();
     }
-    let Some(mut fitting) = fitting(&shapes) else {
+    let Some(fitting) = fitting(&shapes) else {
         return "none of V2X-Real's networks at full size has these tensors: --model FILE.toml describes one of another size, \
                 and `realo checkpoint show` lists what is there"
             .into();
     };
     let arch = fitting.arch.to_string();
-    let compression = fitting.arch.compression_mut().map_or(0, |compression| *compression);
+    let compression = fitting.arch.sharing().map_or(0, |sharing| sharing.compression);
     match compression {
         0 => format!("names and shapes are those of --arch {arch}"),
         _ => format!(

@@ -6,7 +6,8 @@ use std::fs::File;
 use std::io::{self, Read};
 use std::path::{Path, PathBuf};
 
-use realo_nn::model::Model;
+use realo_methods::Model;
+use realo_nn::model::Architecture;
 use realo_nn::weights::is_counter;
 use safetensors::{SafeTensorError, SafeTensors};
 
@@ -96,8 +97,8 @@ pub fn list(path: &Path) -> Result<Listing, ListError> {
     };
     let model = match own {
         Some(model) => Some(format!("those of model `{}`, {}", model.name, beside.display())),
-        None => fitting(&shapes).map(|mut model| {
-            let compression = model.arch.compression_mut().map_or(0, |compression| *compression);
+        None => fitting(&shapes).map(|model| {
+            let compression = model.arch.sharing().map_or(0, |sharing| sharing.compression);
             let compressor = match compression {
                 0 => String::new(),
                 times => format!(", compression {times}"),

@@ -4,7 +4,8 @@ use std::fs::{self, File};
 use std::io::{self, Write};
 use std::path::{Path, PathBuf};
 
-use realo_nn::model::{Model, ModelError};
+use realo_methods::Model;
+use realo_nn::model::ModelError;
 use realo_nn::weights::{expected, sha256};
 use safetensors::Dtype;
 use safetensors::tensor::TensorView;

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use damage::{Draw, cases, most_held};
 use realo_checkpoint::{Checkpoint, convert};
-use realo_nn::model::Model;
+use realo_methods::Model;
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;
 

@@ -4,8 +4,8 @@ use std::collections::HashMap;
 use std::path::{Path, PathBuf};
 
 use realo_checkpoint::{Checkpoint, Converted, convert, list, write};
-use realo_nn::Kernels;
-use realo_nn::model::Model;
+use realo_methods::Kernels;
+use realo_methods::Model;
 use realo_nn::weights::{Weights, expected};
 
 fn portable() -> Kernels<'static> {
@@ -170,7 +170,7 @@ fn a_model_runs_from_what_was_written_and_nothing_is_replaced_unasked() {
         (written.model, written.tensors),
         (dir.path().join("mine.toml"), [26, 836])
     );
-    let loaded = realo_nn::load(&dir.path().join("mine.toml"), portable()).unwrap();
+    let loaded = realo_methods::load(&dir.path().join("mine.toml"), portable()).unwrap();
     assert_eq!(loaded.model.name, "mine");
     assert_eq!(difference(&loaded.weights), 0.0);
     let text = std::fs::read_to_string(dir.path().join("mine.toml")).unwrap();
@@ -217,7 +217,7 @@ fn a_model_file_that_asks_for_the_weights_stays_as_it_is() {
         std::fs::read(&file).unwrap(),
         std::fs::read(data("small-attfuse.toml")).unwrap()
     );
-    realo_nn::load(&file, portable()).unwrap();
+    realo_methods::load(&file, portable()).unwrap();
 }
 
 #[test]

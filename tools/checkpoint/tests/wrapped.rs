@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use realo_checkpoint::{Checkpoint, Converted, convert};
-use realo_nn::model::Model;
+use realo_methods::Model;
 use realo_nn::weights::expected;
 use zip::ZipWriter;
 use zip::write::SimpleFileOptions;

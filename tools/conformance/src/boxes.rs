@@ -1,9 +1,9 @@
 use std::collections::BTreeMap;
 
 use nalgebra::Isometry3;
+use realo_methods::detect::pillars::Pillariser;
 use realo_nn::anchors::{Anchors, Cells, decode, encode};
 use realo_nn::model::Grid;
-use realo_nn::pillars::Pillariser;
 use realo_schemas::geometry::{Footprint, Region, bottom_corners, is_valid, relative, transform_box, yaw_of};
 use realo_schemas::{Box3, PointCloud};
 use realo_scoring::Protocol;

@@ -1,11 +1,16 @@
-use realo_nn::arch::{Arch, MessagePassing, Sharing, Transformer, Window};
-use realo_nn::fuse::{Agent, Warp};
+use realo_kernels::agents::Agent;
+use realo_kernels::bev::{BevMap, BevView};
+use realo_kernels::warp::Warp;
+use realo_methods::Model;
+use realo_methods::Pillarer;
+use realo_methods::detect::pillars::Points;
+use realo_methods::network::Network;
+use realo_methods::network::Section;
+use realo_methods::{Arch, fcooper, methods};
 use realo_nn::layers::Layers;
-use realo_nn::model::{Model, Shrink};
-use realo_nn::network::{BevMap, BevView, Section};
-use realo_nn::pillars::Points;
+use realo_nn::model::Sharing;
+use realo_nn::model::Shrink;
 use realo_nn::weights::Weights;
-use realo_nn::{Pillarer, network::Network};
 use serde_json::Value;
 
 use crate::Kind;
@@ -66,19 +71,18 @@ fn of_maps(vector: &Vector) -> Result<(), String> {
     let counts = agents(&tensors, "in.record_len", maps)?;
     let most = counts.iter().copied().max().unwrap_or(1);
     let mut model = before(rows, columns, channels)?;
+    if let Some(width) = vector.entry.config.get("feature_dim").and_then(Value::as_u64) {
+        model.backbone.channels = vec![width as usize];
+    }
     let shared = Sharing {
         agents: most,
         compression: 0,
     };
-    let arch = match vector.entry.config.get("feature_dim").and_then(Value::as_u64) {
-        Some(width) => {
-            model.backbone.channels = vec![width as usize];
-            Arch::AttFuse(shared)
-        }
-        None => Arch::FCooper(shared),
-    };
-    let model = fusing(model, arch)?;
-    let mut network = network(&model, &weights_of(&model, &tensors, |_| None)?)?;
+    let model = fusing(model, arch_of(&vector.entry.config, shared)?)?;
+    let mut network = network(
+        &model,
+        &weights_of(&model, &tensors, |key| key.strip_prefix("fusion_net."))?,
+    )?;
     let maps = views(&cells, [rows, columns, channels]);
     let (mut left, mut found) = (&maps[..], Vec::new());
     for count in counts {
@@ -94,11 +98,11 @@ fn compressor(vector: &Vector) -> Result<(), String> {
     let tensors = vector.tensors()?;
     let (cells, [_, channels, rows, columns]) = tensors.channels_last("in.x")?;
     let crossing = tensors.shape("mid.encoded")?[1];
-    let arch = Arch::FCooper(Sharing {
+    let arch = fcooper::Settings {
         agents: 1,
         compression: channels / crossing.max(1),
-    });
-    let model = fusing(before(rows, columns, channels)?, arch)?;
+    };
+    let model = fusing(before(rows, columns, channels)?, arch.into())?;
     let weights = weights_of(&model, &tensors, |key| key.strip_prefix("naive_compressor."))?;
     let layers = Layers::of(&model);
     let wide = layers.before(layers.features).ok_or("nothing is compressed")?;
@@ -117,58 +121,21 @@ fn compressor(vector: &Vector) -> Result<(), String> {
     compare_map(vector, &tensors, "out.decoded", &restored)
 }
 
+/// The method that a vector's configuration describes.
 fn arch_of(config: &Value, shared: Sharing) -> Result<Arch, String> {
-    if !config["transformer"].is_null() {
-        return Ok(Arch::V2XViT(Box::new(transformer_of(&config["transformer"], shared)?)));
+    let known = methods();
+    let mut described = known.iter().filter_map(|method| method.of_reference(config, shared));
+    match described.next() {
+        Some(method) => Ok(method?.into()),
+        None => {
+            let names: Vec<&str> = known.iter().map(|method| method.name).collect();
+            let kind = &config["kind"];
+            Err(format!(
+                "config `kind`: expected one of {}, found {kind}",
+                names.join(", ")
+            ))
+        }
     }
-    if let Some(rounds) = config["v2vfusion"]["num_iteration"].as_u64() {
-        let Sharing { agents, compression } = shared;
-        return Ok(Arch::V2VNet(MessagePassing {
-            agents,
-            compression,
-            rounds: rounds as usize,
-        }));
-    }
-    let kind = config["kind"].as_str().unwrap_or_default();
-    match kind.split('_').next() {
-        Some("fcooper") => Ok(Arch::FCooper(shared)),
-        Some("attfuse") => Ok(Arch::AttFuse(shared)),
-        _ => Err(format!(
-            "config `kind`: expected fcooper, attfuse or v2xvit, found `{kind}`"
-        )),
-    }
-}
-
-/// A list of whole numbers of a transformer's configuration.
-pub(crate) fn list(value: &Value) -> Result<Vec<usize>, String> {
-    serde_json::from_value(value.clone()).map_err(|error| format!("config of the transformer: {error}"))
-}
-
-/// The settings of a transformer as the reference writes them.
-fn transformer_of(config: &Value, Sharing { agents, compression }: Sharing) -> Result<Transformer, String> {
-    let number = |value: &Value| list(&Value::Array(vec![value.clone()])).map(|list| list[0]);
-    let (over_agents, over_windows) = (&config["cav_att_config"], &config["pwindow_att_config"]);
-    let sides = list(&over_windows["window_size"])?.into_iter();
-    let windows = sides
-        .zip(list(&over_windows["heads"])?)
-        .zip(list(&over_windows["dim_head"])?);
-    let windows = windows.map(|((side, heads), head_width)| Window {
-        side,
-        heads,
-        head_width,
-    });
-    Ok(Transformer {
-        agents,
-        compression,
-        depth: number(&config["depth"])?,
-        blocks: number(&config["num_blocks"])?,
-        heads: number(&over_agents["heads"])?,
-        head_width: number(&over_agents["dim_head"])?,
-        windows: windows.collect(),
-        feed_forward: number(&config["feed_forward"]["mlp_dim"])?,
-        delay_ratio: number(&config["RTE_ratio"])?,
-        ..Transformer::default()
-    })
 }
 
 /// Agents whose maps are moved into the ego's, the first one's, by a matrix each.
@@ -187,11 +154,11 @@ fn messages(vector: &Vector) -> Result<(), String> {
     let (cells, [maps, channels, rows, columns]) = tensors.channels_last("in.x")?;
     let counts = agents(&tensors, "in.record_len", maps)?;
     let most = tensors.shape("in.pairwise")?[1];
-    let arch = Arch::V2VNet(MessagePassing {
+    let shared = Sharing {
         agents: most,
         compression: 0,
-        rounds: vector.number("iterations")? as usize,
-    });
+    };
+    let arch = arch_of(&vector.entry.config, shared)?;
     let model = fusing(before(rows, columns, channels)?, arch)?;
     let weights = weights_of(&model, &tensors, |key| key.strip_prefix("fusion_net."))?;
     let mut network = network(&model, &weights)?;
@@ -239,8 +206,8 @@ fn transformer(vector: &Vector) -> Result<(), String> {
         agents: most,
         compression: 0,
     };
-    let settings = transformer_of(&vector.entry.config, shared)?;
-    let model = fusing(before(rows, columns, channels)?, Arch::V2XViT(Box::new(settings)))?;
+    let arch = arch_of(&vector.entry.config, shared)?;
+    let model = fusing(before(rows, columns, channels)?, arch)?;
     let weights = weights_of(&model, &tensors, |key| key.strip_prefix("fusion_net."))?;
     let mut network = network(&model, &weights)?;
     let (cells, matrices) = (tensors.singles("in.x_blhwc3")?, tensors.numbers("in.matrices")?);

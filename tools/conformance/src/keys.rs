@@ -1,8 +1,8 @@
 use std::collections::BTreeMap;
 
-use realo_nn::full;
+use realo_methods::Model;
+use realo_methods::{full, methods};
 use realo_nn::layers::Layers;
-use realo_nn::model::Model;
 use serde::Deserialize;
 
 use crate::Kind;
@@ -34,22 +34,20 @@ struct Entry {
     shape: Vec<usize>,
 }
 
+/// Class of the reference's detector of one agent.
+const ALONE: &str = "PointPillar";
+
 /// The shipped model of a network of the reference, by its class and its configuration's name.
 fn shipped(document: &Document) -> Result<Model, String> {
-    let late = document.config.contains("late");
-    let name = match document.class.as_str() {
-        "PointPillar" if late => "full-late",
-        "PointPillar" => "full",
-        "PointPillarFCooper" => "full-fcooper",
-        "PointPillarIntermediate" => "full-attfuse",
-        "PointPillarTransformer" => "full-v2xvit",
-        "PointPillarV2VNet" => "full-v2vnet",
-        other => return Err(format!("class `{other}`: no shipped model is of it")),
+    let class = &*document.class;
+    let name = match methods().iter().find(|method| method.reference == Some(class)) {
+        Some(method) => format!("full-{}", method.name),
+        None if class != ALONE => return Err(format!("class `{class}`: no shipped model is of it")),
+        None if document.config.contains("late") => "full-late".into(),
+        None => "full".into(),
     };
-    let mut model = full::model(name).expect("a model that is built in");
-    if let Some(compression) = model.arch.compression_mut() {
-        *compression = document.overrides.compression;
-    }
+    let mut model = full::model(&name).ok_or_else(|| format!("no model `{name}` is built in"))?;
+    model.arch.set_compression(document.overrides.compression);
     model.validate().map_err(|error| error.to_string())?;
     Ok(model)
 }

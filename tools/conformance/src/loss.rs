@@ -1,5 +1,5 @@
-use realo_nn::loss::{HeadMaps, Loss, LossWeights, loss};
-use realo_nn::targets::{Positive, Targets};
+use realo_objective::loss::{HeadMaps, Loss, LossWeights, loss};
+use realo_objective::targets::{Positive, Targets};
 
 use crate::Kind;
 use crate::vector::{Vector, compare};

@@ -1,11 +1,13 @@
 use std::collections::HashMap;
 
-use realo_nn::Pillarer;
-use realo_nn::canvas::Canvas;
+use realo_kernels::bev::{BevMap, BevView};
+use realo_kernels::canvas::Canvas;
+use realo_methods::Model;
+use realo_methods::Pillarer;
+use realo_methods::detect::pillars::Points;
+use realo_methods::network::{Network, NetworkOptions, Section};
 use realo_nn::layers::{Layer, Layers};
-use realo_nn::model::{Backbone, Grid, Model, Precision, Shrink};
-use realo_nn::network::{BevMap, BevView, Network, NetworkOptions, Section};
-use realo_nn::pillars::Points;
+use realo_nn::model::{Backbone, Grid, Precision, Shrink};
 use realo_nn::weights::{Tensor, Weights, expected};
 use serde_json::Value;
 

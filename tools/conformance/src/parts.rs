@@ -1,13 +1,13 @@
 //! The parts of fusions alone: of the transformer, and the gated unit of messages.
 
-use realo_nn::arch::{Arch, Transformer, Window};
-use realo_nn::fuse::Agent;
-use realo_nn::messages::{GatedUnit, GatedUnitTensors};
-use realo_nn::network::BevView;
-use realo_nn::transformer::{Asking, Parts, initial_delays};
+use realo_kernels::agents::Agent;
+use realo_kernels::bev::BevView;
+use realo_methods::network::NetworkOptions;
+use realo_methods::v2vnet::{GatedUnit, GatedUnitTensors};
+use realo_methods::v2xvit::{Asking, Parts, Settings, Window, initial_delays, numbers_of};
 
 use crate::Kind;
-use crate::fusion::{fusing, list, views};
+use crate::fusion::{fusing, views};
 use crate::network::{before, compare_map, options, weights_of, wide};
 use crate::vector::{Tensors, Vector, compare};
 use crate::warps::Maps;
@@ -40,8 +40,8 @@ const FORWARD: &str = "fusion_net.encoder.layers.0.1.";
 const DELAYS: &str = "fusion_net.encoder.rte.";
 
 /// Settings with as little as can be of what a vector is not about.
-fn smallest(channels: usize) -> Transformer {
-    Transformer {
+fn smallest(channels: usize) -> Settings {
+    Settings {
         agents: 1,
         compression: 0,
         depth: 1,
@@ -65,17 +65,18 @@ const LEAST_WINDOW: Window = Window {
 fn parts(
     tensors: &Tensors,
     prefix: &str,
-    settings: Transformer,
+    settings: Settings,
     [rows, columns, channels]: [usize; 3],
 ) -> Result<Parts, String> {
-    let model = fusing(before(rows, columns, channels)?, Arch::V2XViT(Box::new(settings)))?;
+    let model = fusing(before(rows, columns, channels)?, settings.clone().into())?;
     let weights = weights_of(&model, tensors, |key| key.strip_prefix(prefix))?;
-    Parts::new(&model, &weights, options()).map_err(|error| error.to_string())
+    let NetworkOptions { isa, threads, .. } = options();
+    Ok(Parts::new(&settings, channels, &weights, (isa, threads)))
 }
 
 /// A whole number of the case's configuration.
 fn count(vector: &Vector, key: &str) -> Result<usize, String> {
-    let counts: Vec<usize> = list(&serde_json::Value::Array(vec![vector.entry.config[key].clone()]))
+    let counts: Vec<usize> = numbers_of(&serde_json::Value::Array(vec![vector.entry.config[key].clone()]))
         .map_err(|error| format!("config `{key}`: {error}"))?;
     Ok(counts[0])
 }
@@ -86,7 +87,7 @@ fn delays(vector: &Vector) -> Result<(), String> {
     let maps = Maps::read(&tensors, "in.x_blhwc")?;
     let [samples, agents, rows, columns, channels] = maps.shape;
     let table = tensors.shape("param.emb.emb.weight")?;
-    let settings = Transformer {
+    let settings = Settings {
         delays: table.first().copied().unwrap_or_default(),
         delay_ratio: count(vector, "rte_ratio")?,
         ..smallest(channels)
@@ -115,7 +116,7 @@ fn over_agents(vector: &Vector) -> Result<(), String> {
     let tensors = vector.tensors()?;
     let maps = Maps::read(&tensors, "in.x_blhwc")?;
     let [samples, agents, rows, columns, channels] = maps.shape;
-    let settings = Transformer {
+    let settings = Settings {
         heads: count(vector, "heads")?,
         head_width: count(vector, "dim_head")?,
         ..smallest(channels)
@@ -173,7 +174,7 @@ fn within_windows(vector: &Vector) -> Result<(), String> {
         heads: count(vector, "heads")?,
         head_width: count(vector, "dim_head")?,
     };
-    let settings = Transformer {
+    let settings = Settings {
         windows: vec![window],
         ..smallest(channels)
     };
@@ -188,14 +189,16 @@ fn over_windows(vector: &Vector) -> Result<(), String> {
     let maps = Maps::read(&tensors, "in.x_blhwc")?;
     let [_, _, rows, columns, channels] = maps.shape;
     let config = &vector.entry.config;
-    let sizes = list(&config["windows"])?.into_iter();
-    let windows = sizes.zip(list(&config["heads"])?).zip(list(&config["dim_head"])?);
+    let sizes = numbers_of(&config["windows"])?.into_iter();
+    let windows = sizes
+        .zip(numbers_of(&config["heads"])?)
+        .zip(numbers_of(&config["dim_head"])?);
     let windows = windows.map(|((side, heads), head_width)| Window {
         side,
         heads,
         head_width,
     });
-    let settings = Transformer {
+    let settings = Settings {
         windows: windows.collect(),
         ..smallest(channels)
     };
@@ -217,7 +220,7 @@ fn split_attention(vector: &Vector) -> Result<(), String> {
         return Err(format!("`in.w0` has shape {shape:?}, another one {:?}", other.shape));
     }
     let [_, _, rows, columns, channels] = shape;
-    let settings = Transformer {
+    let settings = Settings {
         windows: vec![LEAST_WINDOW; made.len()],
         ..smallest(channels)
     };
@@ -238,7 +241,7 @@ fn feed_forward(vector: &Vector) -> Result<(), String> {
     let (shape, data) = (tensors.shape("in.x")?, tensors.singles("in.x")?);
     let channels = shape.last().copied().filter(|_| !data.is_empty());
     let channels = channels.ok_or_else(|| format!("`in.x` has shape {shape:?}, not sizes above 0"))?;
-    let settings = Transformer {
+    let settings = Settings {
         feed_forward: tensors
             .shape("param.fn.net.0.weight")?
             .first()
@@ -281,7 +284,7 @@ fn gated_unit(vector: &Vector) -> Result<(), String> {
         gates: [&gates[0], &gates[1]],
         candidate: [&candidate[0], &candidate[1]],
     };
-    let mut unit = GatedUnit::new(&unit, options());
+    let mut unit = GatedUnit::new(&unit, options().isa, options().threads);
     let inputs = views(&cells, [rows, columns, inputs]);
     let pairs = inputs.into_iter().zip(views(&states, [rows, columns, channels]));
     let found: Vec<f32> = pairs.flat_map(|(input, state)| unit.run(input, state).data).collect();

@@ -1,9 +1,10 @@
-use realo_nn::Pillarer;
-use realo_nn::canvas::Canvas;
+use realo_kernels::canvas::Canvas;
+use realo_methods::Model;
+use realo_methods::Pillarer;
+use realo_methods::detect::pillar_net::{PillarNet, decorate};
+use realo_methods::detect::pillars::{Pillariser, Pillars, Points};
 use realo_nn::layers::POINT_FEATURES;
-use realo_nn::model::{Grid, Model};
-use realo_nn::pillar_net::{PillarNet, decorate};
-use realo_nn::pillars::{Pillariser, Pillars, Points};
+use realo_nn::model::Grid;
 use realo_nn::weights::Weights;
 use realo_schemas::geometry::transform_cloud;
 

@@ -1,5 +1,5 @@
 use nalgebra::Isometry3;
-use realo_detection_head::Decoder;
+use realo_bev::Decoder;
 use realo_nms::{Config, nms};
 use realo_schemas::Box3;
 use realo_schemas::geometry::transform_box;

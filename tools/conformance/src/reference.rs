@@ -4,9 +4,10 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion};
 
+use realo_kernels::warp::Warp;
+use realo_methods::Model;
 use realo_nn::anchors::Anchors;
-use realo_nn::fuse::Warp;
-use realo_nn::model::{Backbone, ClassAnchor, Frame, Grid, Matching, Model, PillarSettings, Precision};
+use realo_nn::model::{Backbone, ClassAnchor, Frame, Grid, Matching, PillarSettings, Precision};
 use realo_schemas::Box3;
 use serde_json::Value;
 

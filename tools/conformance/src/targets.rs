@@ -1,5 +1,5 @@
 use realo_nn::anchors::Anchors;
-use realo_nn::targets::{Object, assign};
+use realo_objective::targets::{Object, assign};
 
 use crate::Kind;
 use crate::reference::anchors_of;

@@ -1,7 +1,8 @@
 //! Warps alone: maps and regions of interest that matrices move.
 
-use realo_nn::fuse::{Agent, Warp, placed};
-use realo_nn::network::BevView;
+use realo_kernels::agents::{Agent, placed};
+use realo_kernels::bev::BevView;
+use realo_kernels::warp::Warp;
 
 use crate::Kind;
 use crate::network::{compare_map, wide};

@@ -2,10 +2,11 @@
 
 use std::path::{Path, PathBuf};
 
-use clap::{Subcommand, ValueEnum};
+use clap::Subcommand;
+use clap::builder::{PossibleValue, PossibleValuesParser};
 use eyre::Result;
 use realo_checkpoint::{Checkpoint, Written};
-use realo_nn::model::Model;
+use realo_methods::Model;
 
 use crate::Outcome;
 use crate::command::called;
@@ -36,8 +37,8 @@ struct Convert {
     #[arg(short = 'o', long = "output")]
     output: PathBuf,
     /// V2X-Real's network at full size; its compressor is recognised by the checkpoint
-    #[arg(long, value_enum, required_unless_present = "model")]
-    arch: Option<Arch>,
+    #[arg(long, value_parser = networks(), required_unless_present = "model")]
+    arch: Option<String>,
     /// Model file of a network of another size
     #[arg(long, conflicts_with = "arch")]
     model: Option<PathBuf>,
@@ -46,32 +47,10 @@ struct Convert {
     force: bool,
 }
 
-/// The networks of V2X-Real.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, ValueEnum)]
-pub enum Arch {
-    /// The detector of one agent, of early and late fusion
-    Pointpillars,
-    /// F-Cooper
-    Fcooper,
-    /// AttFuse
-    Attfuse,
-    /// V2X-ViT
-    V2xvit,
-    /// V2VNet
-    V2vnet,
-}
-
-impl Arch {
-    /// As model files name it.
-    fn name(self) -> &'static str {
-        match self {
-            Arch::Pointpillars => "pointpillars",
-            Arch::Fcooper => "fcooper",
-            Arch::Attfuse => "attfuse",
-            Arch::V2xvit => "v2xvit",
-            Arch::V2vnet => "v2vnet",
-        }
-    }
+/// The networks of V2X-Real, by their names in model files.
+fn networks() -> PossibleValuesParser {
+    let models = realo_methods::full::models().into_iter();
+    PossibleValuesParser::new(models.map(|model| PossibleValue::new(model.arch.name()).help(model.arch.title())))
 }
 
 /// Converts, or prints a table.
@@ -86,10 +65,11 @@ pub fn main(args: &Args) -> Result<Outcome> {
 impl Convert {
     fn run(&self) -> Result<()> {
         let mut checkpoint = Checkpoint::open(&self.checkpoint)?;
-        let model = match (&self.model, self.arch) {
+        let model = match (&self.model, &self.arch) {
             (Some(file), _) => Model::read(file)?,
             (None, arch) => arch
-                .and_then(|arch| realo_checkpoint::full_size(&checkpoint, arch.name()))
+                .as_deref()
+                .and_then(|arch| realo_checkpoint::full_size(&checkpoint, arch))
                 .expect("clap asks for one of the networks"),
         };
         let converted = realo_checkpoint::convert(&mut checkpoint, model)?;

@@ -156,7 +156,7 @@ fn dora() -> Check {
 
 fn processor() -> Check {
     let cores = cores();
-    let known: Vec<String> = realo_nn::conv::Isa::ALL
+    let known: Vec<String> = realo_kernels::conv::Isa::ALL
         .iter()
         .filter(|isa| isa.is_available())
         .map(|isa| isa.to_string())
@@ -167,7 +167,7 @@ fn processor() -> Check {
             "{cores} cores; kernels {}, of which {} is taken; a realtime run that does not keep up says within ten seconds which \
              stage holds it up",
             known.join(", "),
-            realo_nn::conv::Isa::detect()
+            realo_kernels::conv::Isa::detect()
         )),
     }
 }

@@ -124,7 +124,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         (Kind::Fusion, true) => &PYTHON_FUSION,
         (Kind::Detector, true) => &PYTHON_DETECTOR,
         (Kind::Detector, false) => {
-            bail!("a detector is written in Python here: add --python (in Rust: docs/compose.md)")
+            bail!("a detector is written in Python here: add --python (in Rust: docs/reference/plugins.md)")
         }
     };
     let checkout = run::checkout().ok_or_else(|| {

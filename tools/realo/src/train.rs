@@ -4,8 +4,7 @@ use std::ops::{ControlFlow, Range};
 use std::path::PathBuf;
 
 use eyre::{Result, bail};
-use realo_nn::arch::Arch;
-use realo_nn::model::Model;
+use realo_methods::Model;
 use realo_training::data::{Augmentation, LeftOut, LoggedData};
 use realo_training::layers::Arithmetic;
 use realo_training::optimizer::OptimizerSettings;
@@ -225,7 +224,7 @@ impl Args {
         let from = self.from.as_deref().map(find_model).transpose()?;
         let model = Model::read(&file)?;
         // What is behind the encoder of a fusion begins with random numbers.
-        let is_tuned = from.is_some() && !matches!(model.arch, Arch::V2XViT(_));
+        let is_tuned = from.is_some() && !realo_training::learns_to_fuse(&model);
         let logged = |logs: &[PathBuf]| LoggedData {
             logs: logs.to_vec(),
             apart: self.apart,

@@ -3,8 +3,9 @@
 use std::collections::{BTreeSet, HashMap};
 use std::path::{Path, PathBuf};
 
-use realo_nn::layers::{Layers, TensorSpec};
-use realo_nn::model::Model;
+use realo_methods::Model;
+use realo_nn::layers::Layers;
+use realo_nn::tensors::TensorSpec;
 use safetensors::tensor::{Dtype, SafeTensors, TensorView};
 use serde::{Deserialize, Serialize};
 use serde_json::Value;

@@ -145,10 +145,10 @@ pub enum TrainError {
     Weights(#[from] WeightsError),
     /// What runs the weights.
     #[error(transparent)]
-    Network(#[from] realo_nn::network::NetworkError),
+    Network(#[from] realo_methods::network::NetworkError),
     /// What loads model and weights.
     #[error(transparent)]
-    Load(#[from] realo_nn::LoadError),
+    Load(#[from] realo_methods::LoadError),
     /// A log.
     #[error(transparent)]
     Log(#[from] LogError),

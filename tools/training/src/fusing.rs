@@ -1,21 +1,22 @@
-//! Training of a fusion that has weights of its own, V2X-ViT's, and of the heads behind it. What leads from points to the maps
+//! Training of a fusion that has weights of its own, and of the heads behind it. What leads from points to the maps
 //! that are fused is another model's and stays as it is.
 
 use std::collections::HashSet;
 use std::path::Path;
 use std::sync::Arc;
 
+use crate::loss::{HeadMaps, Loss, LossWeights, loss};
+use crate::targets::Targets;
 use candle_core::{Tensor, Var};
-use realo_nn::arch::Arch;
-use realo_nn::layers::{FuseLayer, Fusion, Layer, Layers, Role, TensorSpec};
-use realo_nn::loss::{HeadMaps, Loss, LossWeights, loss};
-use realo_nn::model::{ClassAnchor, Grid, Model};
-use realo_nn::targets::Targets;
-use realo_nn::transformer::initial_delays;
+use realo_methods::Arch;
+use realo_methods::Model;
+use realo_methods::method::Learning;
+use realo_methods::tensors::{Agent, Tensors};
+use realo_methods::{Kernels, Loaded};
+use realo_nn::layers::{Layer, Layers};
+use realo_nn::model::{Architecture, ClassAnchor, Grid};
+use realo_nn::tensors::TensorSpec;
 use realo_nn::weights::{self, Weights};
-use realo_nn::{Kernels, Loaded};
-use realo_nn_candle::Tensors;
-use realo_nn_candle::transformer::{Agent, fuse};
 
 use crate::TrainError;
 use crate::checkpoint::differences;
@@ -25,12 +26,17 @@ use crate::random::Stream;
 use crate::train::option;
 use crate::widen::{as_wide_as, is_wider, widened};
 
-/// Layers whose results are added to a map: what they begin with is 0, so that a fusion begins as the ego's map.
-const ADDED: [&str; 4] = [".fn.a_linears.", ".to_out.0.", ".fn.net.3.", ".rte.emb.lin."];
+/// How the fusion of a model is trained; of a detector of one agent, not at all.
+pub(crate) fn learning(model: &Model) -> Learning {
+    model
+        .arch
+        .method()
+        .map_or(Learning::Nothing, |method| method.learning())
+}
 
 /// Whether a model's fusion has weights that are trained here, its encoder's not.
-pub(crate) fn learns_to_fuse(model: &Model) -> bool {
-    matches!(model.arch, Arch::V2XViT(_))
+pub fn learns_to_fuse(model: &Model) -> bool {
+    learning(model) == Learning::OnMaps
 }
 
 /// The weights that a training begins with.
@@ -50,12 +56,11 @@ pub(crate) fn start(model: &Model, file: Option<&Path>, seed: u64) -> Result<Opt
         model: model.name.clone(),
         reason: reason.into(),
     };
-    if matches!(model.arch, Arch::V2VNet(_)) {
-        return Err(refuse("the fusion of V2VNet cannot be trained here"));
+    if learning(model) == Learning::Never {
+        let title = model.arch.title();
+        return Err(refuse(&format!("the fusion of {title} cannot be trained here")));
     }
-    if let Arch::V2XViT(settings) = &model.arch
-        && settings.compression > 0
-    {
+    if learns_to_fuse(model) && model.arch.sharing().is_some_and(|sharing| sharing.compression > 0) {
         return Err(refuse(
             "its `arch.compression` is not 0, and compressors are not trained here",
         ));
@@ -75,7 +80,7 @@ pub(crate) fn start(model: &Model, file: Option<&Path>, seed: u64) -> Result<Opt
             )),
         };
     };
-    let loaded = realo_nn::load(file, Kernels::auto(1))?;
+    let loaded = realo_methods::load(file, Kernels::auto(1))?;
     let Loaded {
         model: of_file,
         weights,
@@ -148,9 +153,12 @@ fn other_maps(model: &Model, encoder: &Model) -> Vec<String> {
 pub(crate) fn beginning(model: &Model, encoder: &Weights, seed: u64) -> candle_core::Result<Network> {
     let of_fusion: HashSet<String> = of_fusion(&Layers::of(model)).map(|spec| spec.key).collect();
     let mut number = 0..;
-    Network::with(model, |spec| match of_fusion.contains(&spec.key) {
-        true => initial(spec, &mut Stream::new(seed, "fusion", number.next().unwrap_or(0))),
-        false => encoder.tensor(&spec.key).to_vec(),
+    Network::with(model, |spec| match model.arch.method() {
+        Some(method) if of_fusion.contains(&spec.key) => {
+            let mut draws = Stream::new(seed, "fusion", number.next().unwrap_or(0));
+            method.initial(spec, &mut || draws.normal())
+        }
+        _ => encoder.tensor(&spec.key).to_vec(),
     })
 }
 
@@ -158,26 +166,6 @@ fn of_fusion(layers: &Layers) -> impl Iterator<Item = TensorSpec> {
     let steps = layers.steps().iter();
     let fusions = steps.filter(|step| matches!(step.layer, Layer::Fuse(_)));
     fusions.flat_map(|step| step.layer.tensors())
-}
-
-fn initial(spec: &TensorSpec, draws: &mut Stream) -> Vec<f32> {
-    let count = spec.count();
-    match spec.role {
-        Role::Weight { .. } if ADDED.iter().any(|part| spec.key.contains(part)) => vec![0.0; count],
-        Role::Weight { .. } if spec.key.ends_with(".pos_embedding") => vec![0.0; count],
-        // A matrix for each head: to begin with the relation changes nothing.
-        Role::Weight { fan_in } if spec.key.contains(".relation_") => {
-            let diagonal = |at: usize| (at % (fan_in * fan_in)).is_multiple_of(fan_in + 1);
-            (0..count).map(|at| f32::from(u8::from(diagonal(at)))).collect()
-        }
-        Role::Weight { fan_in } => {
-            let deviation = (1.0 / fan_in as f64).sqrt();
-            (0..count).map(|_| (deviation * draws.normal()) as f32).collect()
-        }
-        Role::Delays => initial_delays(spec.shape[0], spec.shape[1]),
-        Role::NormWeight | Role::RunningVariance => vec![1.0; count],
-        Role::Bias | Role::NormBias | Role::RunningMean => vec![0.0; count],
-    }
 }
 
 impl Network {
@@ -217,7 +205,8 @@ impl Network {
         let named = self.parameters().iter().zip(&variables);
         let named = named
             .filter_map(|(parameter, variable)| Some((parameter.name.clone(), variable.as_ref()?.as_tensor().clone())));
-        let fusion = Learning {
+        let fusion = Fusing {
+            arch: &self.model().arch,
             layers: self.layers(),
             tensors: Tensors::new(named.collect()),
         };
@@ -245,12 +234,13 @@ impl Network {
 }
 
 /// A fusion and the heads behind it, whose tensors gradients lead to.
-struct Learning<'a> {
+struct Fusing<'a> {
+    arch: &'a Arch,
     layers: &'a Layers,
     tensors: Tensors,
 }
 
-impl Learning<'_> {
+impl Fusing<'_> {
     /// A sample's share of the loss, and a number whose gradient is the loss's.
     fn loss(
         &self,
@@ -259,14 +249,10 @@ impl Learning<'_> {
         settings: &LossWeights,
         batch: usize,
     ) -> candle_core::Result<(Loss, Tensor)> {
-        let Some(FuseLayer {
-            fusion: Fusion::Transformer(transformer),
-            ..
-        }) = self.layers.fusion()
-        else {
-            candle_core::bail!("only the fusion of V2X-ViT is trained on maps");
+        let Some((method, layer)) = self.arch.method().zip(self.layers.fusion()) else {
+            candle_core::bail!("a model that fuses nothing is not trained on maps");
         };
-        let fused = fuse(transformer, &self.tensors, agents)?;
+        let fused = method.operation(layer, &self.tensors, agents)?;
         let [scores, deltas] = [self.layers.scores, self.layers.deltas].map(|head| self.head(head, &fused));
         let (scores, deltas) = (scores?, deltas?);
         let (mut of_scores, mut of_deltas) = (vec![0.0; scores.elem_count()], vec![0.0; deltas.elem_count()]);
@@ -310,9 +296,10 @@ impl Learning<'_> {
 
 #[cfg(test)]
 mod tests {
+    use crate::targets::{Object, assign};
+    use realo_methods::tensors::{AgentMap, Placed};
     use realo_nn::anchors::Anchors;
-    use realo_nn::targets::{Object, assign};
-    use realo_nn_candle::Placed;
+    use realo_nn::tensors::Role;
 
     use super::*;
 
@@ -356,11 +343,11 @@ mod tests {
                 .map(|cell| f32::from(u8::from(cell < covered)))
                 .collect();
             Agent {
-                placed: Placed {
+                map: AgentMap::Placed(Placed {
                     map: tensor(numbers(rows * columns * channels), (rows, columns, channels)).unwrap(),
                     reach: tensor(reach.clone(), (rows, columns, 1)).unwrap(),
                     covered: tensor(reach, (rows, columns, 1)).unwrap(),
-                },
+                }),
                 roadside: number == 2 || number == 0 && roadside,
                 delay: if number == 1 { 2 } else { 0 },
             }
@@ -432,15 +419,11 @@ mod tests {
         let tensors = network.parameters().iter();
         let tensors = tensors.map(|parameter| (parameter.name.clone(), parameter.value.clone()));
         let agents = agents(&model, false);
-        let Some(FuseLayer {
-            fusion: Fusion::Transformer(settings),
-            ..
-        }) = network.layers().fusion()
-        else {
-            panic!("a transformer")
-        };
-        let fused = fuse(settings, &Tensors::new(tensors.collect()), &agents).unwrap();
+        let (method, layer) = (model.arch.method().unwrap(), network.layers().fusion().unwrap());
+        let fused = method
+            .operation(layer, &Tensors::new(tensors.collect()), &agents)
+            .unwrap();
         let numbers = |tensor: &Tensor| tensor.flatten_all().unwrap().to_vec1::<f32>().unwrap();
-        assert_eq!(numbers(&fused), numbers(&agents[0].placed.map));
+        assert_eq!(numbers(&fused), numbers(&agents[0].placed().unwrap().map));
     }
 }

@@ -1,4 +1,4 @@
-//! Trains the PointPillars detector, and V2X-ViT's fusion behind its encoder, on the CPU.
+//! Trains the PointPillars detector, and fusions with weights behind its encoder, on the CPU.
 //!
 //! Frames ([`data`]) become batches on a thread of their own; the detector ([`network`]) is made of custom operations
 //! ([`layers`]) that a [`tape`] leads gradients back through, the fusion of candle's; [`train`] is the loop around both.
@@ -23,7 +23,9 @@ mod widen;
 pub use checkpoint::{Checkpoint, TrainingPlan, write_weights};
 pub use curve::{Curve, Point};
 pub use error::TrainError;
+pub use fusing::learns_to_fuse;
 pub use quantize::{Quantized, quantize};
+pub use realo_objective::{loss, targets};
 pub use scored::{Before, Comparison, FRAMES_APART, MAX_GAP_MS};
 pub use train::{Data, News, Progress, TrainOptions, Trained, frames, train, train_with, validation_frames};
 pub use validate::{ClassScore, Validation, validate};

@@ -5,6 +5,8 @@ mod run;
 use std::collections::HashMap;
 use std::sync::Arc;
 
+use crate::loss::{HeadMaps, Loss, LossWeights, loss};
+use crate::targets::Targets;
 use candle_core::{Tensor, TensorId};
 use rayon::prelude::*;
 use realo_nn::layers::{FuseLayer, Fusion, Layer, Layers, Role, TensorSpec, norm_key};
@@ -87,8 +89,13 @@ impl Network {
                 scores: step.to == layers.scores,
                 deltas: step.to == layers.deltas,
             };
+            let method = model.arch.method().filter(|_| matches!(step.layer, Layer::Fuse(_)));
             for (spec, number) in step.layer.tensors().into_iter().zip(number.by_ref()) {
-                values.push(initial(&mut Stream::new(seed, "weights", number), &spec, of_heads));
+                let mut draws = Stream::new(seed, "weights", number);
+                values.push(match method {
+                    Some(method) => method.initial(&spec, &mut || draws.normal()),
+                    None => initial(&mut draws, &spec, of_heads),
+                });
             }
         }
         let mut values = values.into_iter();
@@ -168,14 +175,8 @@ impl Network {
                     run.tape.join(&parts)?
                 }
                 // Samples are of one agent each, and the fusion of one is what it sees.
-                Layer::Fuse(FuseLayer {
-                    fusion: Fusion::Max | Fusion::Attention { .. },
-                    ..
-                }) => maps.read(step.from[0]),
-                Layer::Fuse(FuseLayer {
-                    fusion: Fusion::Transformer(_) | Fusion::Messages { .. },
-                    ..
-                }) => candle_core::bail!("the fusions of V2X-ViT and V2VNet look at maps, not at points"),
+                Layer::Fuse(_) if learning(&self.model) == Learning::Nothing => maps.read(step.from[0]),
+                Layer::Fuse(_) => candle_core::bail!("the fusion of {} looks at maps, not at points", self.model.arch),
             };
             maps.made.insert(step.to, made);
         }
@@ -274,9 +275,8 @@ fn initial(draws: &mut Stream, spec: &TensorSpec, of_heads: OfHeads) -> Vec<f32>
         Role::Weight { .. } if of_heads.scores || of_heads.deltas => normal(draws, 0.01),
         // Variance is kept through ReLU (He et al. 2015).
         Role::Weight { fan_in } => normal(draws, (2.0 / fan_in as f64).sqrt()),
-        Role::Delays => initial_delays(spec.shape[0], spec.shape[1]),
         Role::NormWeight | Role::RunningVariance => vec![1.0; count],
-        Role::Bias | Role::NormBias | Role::RunningMean => vec![0.0; count],
+        Role::Bias | Role::NormBias | Role::Delays | Role::RunningMean => vec![0.0; count],
     }
 }
 

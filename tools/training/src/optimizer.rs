@@ -118,7 +118,7 @@ impl AdamW {
 
 #[cfg(test)]
 mod tests {
-    use realo_nn::model::Model;
+    use realo_methods::Model;
 
     use super::*;
 

@@ -4,13 +4,14 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
+use realo_kernels::agents::Agent;
+use realo_methods::Model;
+use realo_methods::network::calibration::Calibration;
+use realo_methods::network::{Network, NetworkOptions};
+use realo_methods::{Kernels, Pillarer, load};
 use realo_nn::anchors::Anchors;
-use realo_nn::calibration::Calibration;
-use realo_nn::fuse::Agent;
-use realo_nn::model::{Model, Precision};
-use realo_nn::network::{Network, NetworkOptions};
+use realo_nn::model::Precision;
 use realo_nn::weights::Weights;
-use realo_nn::{Kernels, Pillarer, load};
 use serde::Serialize;
 
 use crate::TrainError;

@@ -8,7 +8,7 @@ use std::ops::ControlFlow;
 use std::path::PathBuf;
 use std::time::{Duration, Instant};
 
-use realo_nn::model::Model;
+use realo_methods::Model;
 
 pub use self::source::{frames, validation_frames};
 pub(crate) use self::training::check_frames_suit;

@@ -2,10 +2,10 @@
 
 use std::sync::Arc;
 
+use crate::targets::Object;
+use realo_methods::Model;
 use realo_nn::anchors::{Anchors, Hwl};
 use realo_nn::decode::{Detection, candidates};
-use realo_nn::model::Model;
-use realo_nn::targets::Object;
 use realo_schemas::geometry::{Footprint, iou, iou_exceeds};
 
 use crate::TrainError;

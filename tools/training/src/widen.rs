@@ -3,8 +3,9 @@
 
 use std::collections::HashMap;
 
-use realo_nn::layers::{ConvLayer, Layer, Layers, MapId, Role, TensorSpec};
-use realo_nn::model::Model;
+use realo_methods::Model;
+use realo_nn::layers::{ConvLayer, Layer, Layers, MapId};
+use realo_nn::tensors::{Role, TensorSpec};
 use realo_nn::weights::{self, Weights, WeightsError};
 
 use crate::random::Stream;

@@ -8,7 +8,7 @@ use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::path::{Path, PathBuf};
 use std::sync::OnceLock;
 
-use realo_nn::model::Model;
+use realo_methods::Model;
 use realo_nn::weights::Weights;
 use realo_training::data::Augmentation;
 use realo_training::optimizer::OptimizerSettings;
@@ -562,7 +562,8 @@ fn an_encoder_of_another_file_is_not_written_twice() {
     assert!(own.keys().all(|name| !encoder.contains_key(name)) && own.contains_key("cls_head.weight"));
     assert!(of_whole == own.into_iter().chain(encoder).collect());
 
-    let loaded = |output: &Path| realo_nn::load(&output.join("fusing.toml"), realo_nn::Kernels::auto(1)).unwrap();
+    let loaded =
+        |output: &Path| realo_methods::load(&output.join("fusing.toml"), realo_methods::Kernels::auto(1)).unwrap();
     let same = |key: &(String, Vec<usize>)| {
         loaded(&whole.output).weights.tensor(&key.0) == loaded(&apart.output).weights.tensor(&key.0)
     };
@@ -576,7 +577,7 @@ fn an_encoder_of_another_file_is_not_written_twice() {
     let refused = train(&apart, |_| ()).unwrap_err().to_string();
     assert!(refused.contains("`encoder` is `checkpoint`"), "{refused}");
     fs::remove_file(apart.output.join("small.safetensors")).unwrap();
-    let error = realo_nn::load(&apart.output.join("fusing.toml"), realo_nn::Kernels::auto(1));
+    let error = realo_methods::load(&apart.output.join("fusing.toml"), realo_methods::Kernels::auto(1));
     assert!(error.err().unwrap().to_string().contains("small.safetensors: "));
 }
 

@@ -7,11 +7,12 @@ use serde_yaml::Value;
 /// Where dora describes a process.
 const VARIABLE: &str = "DORA_NODE_CONFIG";
 
-/// Id and ports of a process.
+/// Name and ports of a process.
 pub(super) struct Plan {
     pub id: String,
     /// By input: `node/output` behind it.
     pub inputs: BTreeMap<String, String>,
+    /// Those that another process takes.
     pub outputs: Vec<String>,
     /// Outputs from which a way leads back to this process.
     pub returning: BTreeSet<String>,
@@ -46,18 +47,43 @@ impl Plan {
         });
         let outputs = run.get("outputs").and_then(Value::as_sequence).into_iter().flatten();
         let id = id.ok_or("expected a text `node_id`, found none")?;
+        let graph = processes(&config);
+        let is_taken = |output: &String| {
+            let wire = format!("{id}/{output}");
+            graph.iter().any(|(_, sources)| sources.contains(&wire))
+        };
         let outputs: Vec<String> = outputs
             .filter_map(|output| Some(output.as_str()?.to_string()))
+            .filter(is_taken)
             .collect();
-        let graph = processes(&config);
         let returns = |output: &&String| leads_back(&graph, id, output);
+        let names = names(&config);
+        let short = |id: &str| names.get(id).cloned().unwrap_or(id.into());
+        let inputs = inputs.map(|(port, source)| match source.split_once('/') {
+            Some((node, output)) => (port, format!("{}/{output}", short(node))),
+            None => (port, source),
+        });
         Ok(Plan {
-            id: id.into(),
+            id: short(id),
             inputs: inputs.collect(),
             returning: outputs.iter().filter(returns).cloned().collect(),
             outputs,
         })
     }
+}
+
+/// What the processes of the graph are called, where that is not their id.
+fn names(config: &Value) -> BTreeMap<String, String> {
+    let nodes = config.get("dataflow_descriptor").and_then(|graph| graph.get("nodes"));
+    let nodes = nodes.and_then(Value::as_sequence).into_iter().flatten();
+    let known = nodes.filter_map(|node| {
+        let args = node.get("args").and_then(Value::as_str).unwrap_or_default();
+        Some((
+            node.get("id")?.as_str()?,
+            args.split_whitespace().next().unwrap_or_default(),
+        ))
+    });
+    realo_graph::short_names(known)
 }
 
 /// The processes of the graph that this one is part of.
@@ -114,14 +140,28 @@ mod tests {
     }
 
     #[test]
+    fn a_module_of_processes_is_no_part_of_their_names() {
+        let text = "node_id: method.fusion\nrun_config: { inputs: { ego: method.ego/boxes, packets: { source: scene.v2x/to_ego } } \
+                    }\ndataflow_descriptor:\n  nodes:\n  - { id: method.fusion, args: host f.yml }\n  - { id: method.ego, args: \
+                    host e.yml }\n  - { id: scene.v2x, args: node radio }\n";
+        let plan = Plan::read(text).unwrap();
+        assert_eq!((plan.id.as_str(), plan.inputs["ego"].as_str()), ("fusion", "ego/boxes"));
+        assert_eq!(
+            plan.inputs["packets"], "scene.v2x/to_ego",
+            "nothing is hosted beside it"
+        );
+    }
+
+    #[test]
     fn reads_what_dora_writes() {
         let text = "node_id: ego\nrun_config:\n  inputs:\n    clouds: player/ego_clouds\n    poses:\n      source: \
-                    player/ego_poses\n      queue_size: 10\n  outputs: [boxes, state]\n";
+                    player/ego_poses\n      queue_size: 10\n  outputs: [boxes, packets, state]\ndataflow_descriptor: { nodes: [{ id: \
+                    score, inputs: { boxes: ego/boxes, state: { source: ego/state } } }] }\n";
         let plan = Plan::read(text).unwrap();
         assert_eq!(plan.id, "ego");
         assert_eq!(plan.inputs["clouds"], "player/ego_clouds");
         assert_eq!(plan.inputs["poses"], "player/ego_poses");
-        assert_eq!(plan.outputs, ["boxes", "state"]);
+        assert_eq!(plan.outputs, ["boxes", "state"], "nobody takes the packets");
         assert!(plan.returning.is_empty());
         assert!(Plan::read("node_id: 3").is_err() && Plan::read("[").is_err());
     }

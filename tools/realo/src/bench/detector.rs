@@ -4,11 +4,11 @@ use std::path::Path;
 use std::time::Instant;
 
 use eyre::{Result, eyre};
-use realo_nn::Kernels;
-use realo_nn::canvas::Canvas;
-use realo_nn::model::Model;
-use realo_nn::pillar_net::PillarNet;
-use realo_nn::pillars::{Pillariser, Points};
+use realo_kernels::canvas::Canvas;
+use realo_methods::Kernels;
+use realo_methods::Model;
+use realo_methods::detect::pillar_net::PillarNet;
+use realo_methods::detect::pillars::{Pillariser, Points};
 use realo_schemas::PointCloud;
 use realo_simulator::{Options, Simulation};
 use serde::Serialize;
@@ -76,7 +76,7 @@ pub fn bench(python: Option<&Path>, progress: &Progress) -> Result<Detector> {
     let peer = peer.map(|peer| compared(peer.name.clone(), &ours, &theirs));
     let pillars = pillariser.run(&points).clone();
 
-    let loaded = realo_nn::load(Path::new(MODEL), Kernels::auto(1))?;
+    let loaded = realo_methods::load(Path::new(MODEL), Kernels::auto(1))?;
     let net = PillarNet::of(&loaded.model, &loaded.weights);
     let mut canvas = Canvas::new(model.grid.rows(), model.grid.columns(), model.pillars.channels);
     let [x, y, z] = even_cloud(&model);

@@ -6,18 +6,20 @@ use std::path::Path;
 use std::time::Instant;
 
 use eyre::Result;
+use realo_kernels::agents::Agent;
+use realo_kernels::canvas::Canvas;
+use realo_kernels::conv::Isa;
+use realo_methods::Model;
+use realo_methods::Pillarer;
+use realo_methods::detect::pillars::Points;
+use realo_methods::network::calibration::Calibration;
+use realo_methods::network::{Network, NetworkOptions};
 use realo_nn::anchors::Anchors;
-use realo_nn::canvas::Canvas;
-use realo_nn::conv::Isa;
 use realo_nn::decode::candidates;
 use realo_nn::filler;
-use realo_nn::fuse::Agent;
 use realo_nn::layers::{Layer, Layers, MapId};
-use realo_nn::model::{Model, Precision};
-use realo_nn::network::{Network, NetworkOptions};
-use realo_nn::pillars::Points;
+use realo_nn::model::Precision;
 use realo_nn::weights::Weights;
-use realo_nn::{Pillarer, calibration::Calibration};
 use serde::Serialize;
 use serde_json::{Value, json};
 
@@ -105,7 +107,7 @@ fn planned(compared: bool, all: usize) -> usize {
 
 /// From a sweep to boxes with the detector that ships, in all that this processor has; and whether int8 finds them.
 fn lite(points: &Points, all: usize, rows: &mut Vec<Row>, progress: &Progress) -> Result<Agreement> {
-    let loaded = realo_nn::load(Path::new(LITE), realo_nn::Kernels::auto(1))?;
+    let loaded = realo_methods::load(Path::new(LITE), realo_methods::Kernels::auto(1))?;
     let weights = loaded.weights;
     let model = calibrated((*loaded.model).clone(), &weights, points)?;
     let anchors = Anchors::of(&model);

@@ -2,7 +2,7 @@ use std::fmt;
 use std::path::Path;
 
 use eyre::Result;
-use realo_nn::model::Model;
+use realo_methods::Model;
 use realo_training::data::{Augmentation, Frames, SimulatedFrames};
 use realo_training::optimizer::OptimizerSettings;
 use realo_training::{Data, TrainOptions, train};

@@ -6,7 +6,7 @@ use std::path::Path;
 use eyre::{Result, WrapErr, bail, eyre};
 use realo_graph::{FlatGraph, FlatNode};
 use realo_host::ComputeProfile;
-use realo_nn::model::Model;
+use realo_methods::Model;
 use realo_operator::Decided;
 use realo_results::Run;
 use realo_schemas::Nanos;

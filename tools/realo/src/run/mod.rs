@@ -127,7 +127,7 @@ pub struct Choices {
     /// node.key=value: changes an argument of a node
     #[arg(long)]
     pub set: Vec<String>,
-    /// STAGE="program PATH key=value …" or STAGE="operator NAME …": puts another stage in the place of one (docs/compose.md)
+    /// STAGE="program PATH key=value …" or STAGE="operator NAME …": puts another stage in the place of one (docs/reference/plugins.md)
     #[arg(long)]
     pub replace: Vec<String>,
 }

@@ -5,8 +5,8 @@ use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr, bail, eyre};
 use realo_graph::{FlatGraph, FlatNode, InputSource};
-use realo_nn::model::Model;
-use realo_nn::{AUTO, Kernels, Loaded};
+use realo_methods::Model;
+use realo_methods::{AUTO, Kernels, Loaded};
 
 use realo_operator::Decided;
 
@@ -64,7 +64,7 @@ impl Networks {
                 precision,
                 threads: 1,
             };
-            let loaded = realo_nn::load(path, kernels)?;
+            let loaded = realo_methods::load(path, kernels)?;
             let choice = loaded.network.choice();
             let kernels = format!("{} on {}", choice.precision, choice.isa);
             self.0.insert(key.clone(), Known { loaded, kernels });

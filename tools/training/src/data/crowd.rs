@@ -2,7 +2,7 @@
 //! trees, among more points than simulated ones, and what learned from these alone takes them for background; those that a
 //! roadside unit recorded across a wide junction stand among fewer.
 
-use realo_nn::targets::Object;
+use crate::targets::Object;
 
 use super::cells::{CellMap, Cells};
 use super::outline::{Outline, Outlines};

@@ -176,7 +176,7 @@ fn ground(scene: &Scene, [x, y]: [f32; 2]) -> Option<f32> {
 
 #[cfg(test)]
 mod tests {
-    use realo_nn::targets::Object;
+    use crate::targets::Object;
 
     use super::*;
 

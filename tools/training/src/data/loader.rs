@@ -4,10 +4,10 @@ use std::sync::mpsc::{Receiver, sync_channel};
 use std::sync::{Arc, Mutex, PoisonError};
 use std::thread::JoinHandle;
 
-use realo_nn::arch::Arch;
-use realo_nn::model::{Grid, Model};
-use realo_nn::targets::Targets;
-use realo_nn_candle::transformer::Agent;
+use crate::targets::Targets;
+use realo_methods::Model;
+use realo_methods::tensors::Agent;
+use realo_nn::model::Grid;
 
 use super::decoys::Supply;
 use super::frame::Frame;
@@ -206,11 +206,8 @@ fn window(model: &Model, draws: &mut Stream) -> Model {
     let [from, to] = model.grid.x;
     // Maps of all blocks keep whole cells, a fusion whole windows.
     let strides = model.backbone.strides.iter().product::<usize>().max(1);
-    let windows = match &model.arch {
-        Arch::V2XViT(settings) => &settings.windows[..],
-        _ => &[],
-    };
-    let sides = windows.iter().map(|window| window.side * model.stride());
+    let sides = model.arch.method().map(|method| method.sides()).unwrap_or_default();
+    let sides = sides.into_iter().map(|side| side * model.stride());
     let step = sides.fold(strides, least_common_multiple);
     let half = model.grid.columns() / 2 / step * step;
     let free = (model.grid.columns() - half) / step;

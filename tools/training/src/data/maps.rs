@@ -1,12 +1,15 @@
 //! From a frame to what a fusion learns from: the maps of an ego and of others, brought to the ego's cells as graphs do.
 
 use nalgebra::Isometry3;
-use realo_nn::Pillarer;
-use realo_nn::fuse::{Agent, Warp, placed};
-use realo_nn::model::{Grid, Model};
-use realo_nn::network::{BevMap, BevView, Heads, Network, NetworkError, NetworkOptions};
+use realo_kernels::agents::{Agent, placed};
+use realo_kernels::bev::{BevMap, BevView};
+use realo_kernels::warp::Warp;
+use realo_methods::Model;
+use realo_methods::Pillarer;
+use realo_methods::network::{Heads, Network, NetworkError, NetworkOptions};
+use realo_methods::tensors::{self, AgentMap, Placed};
+use realo_nn::model::Grid;
 use realo_nn::weights::Weights;
-use realo_nn_candle::{Placed, transformer};
 
 use super::frame::{AgentSweep, Frame};
 use super::sample::{Augmentation, Cast, Kept, Scene};
@@ -63,7 +66,7 @@ impl Encoded {
     ///
     /// # Errors
     /// Those of candle.
-    pub fn on(&self, model: &Model, grid: &Grid) -> candle_core::Result<transformer::Agent> {
+    pub fn on(&self, model: &Model, grid: &Grid) -> candle_core::Result<tensors::Agent> {
         let cell = cell(model);
         let first = [(grid.x[0], model.grid.x[0]), (grid.y[0], model.grid.y[0])];
         let [column, row] = first.map(|(part, whole)| ((part - whole) / cell).round());
@@ -84,12 +87,12 @@ impl Encoded {
         let (reach, _) = placed(&Agent { map: ones, ..agent }, size);
         let tensor_of = |data: Vec<f32>, channels: usize| tensor(data, (size[0], size[1], channels));
         let covered = covered.into_iter().map(|covers| f32::from(u8::from(covers)));
-        Ok(transformer::Agent {
-            placed: Placed {
+        Ok(tensors::Agent {
+            map: AgentMap::Placed(Placed {
                 map: tensor_of(map.data, map.channels)?,
                 reach: tensor_of(reach.data, 1)?,
                 covered: tensor_of(covered.collect(), 1)?,
-            },
+            }),
             roadside: self.roadside,
             delay: self.delay,
         })

@@ -43,7 +43,7 @@ pub(crate) fn resize(scene: &mut Scene, [min, max]: [f64; 2], draws: &mut Stream
 
 #[cfg(test)]
 mod tests {
-    use realo_nn::targets::Object;
+    use crate::targets::Object;
 
     use super::*;
 

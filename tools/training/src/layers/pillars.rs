@@ -4,10 +4,10 @@ use std::sync::{Arc, OnceLock};
 
 use candle_core::{CpuStorage, CustomOp3, Layout, Result, Shape, Tensor, bail};
 use rayon::prelude::*;
+use realo_methods::detect::pillar_net::decorate;
+use realo_methods::detect::pillars::Pillars;
 use realo_nn::layers::POINT_FEATURES;
 use realo_nn::model::{Grid, PillarSettings};
-use realo_nn::pillar_net::decorate;
-use realo_nn::pillars::Pillars;
 
 use super::map::{MapShape, numbers, tensor, with_numbers};
 use super::norm::{Moments, Statistics};

@@ -3,8 +3,8 @@
 use std::sync::Arc;
 
 use candle_core::{CustomOp2, CustomOp3, Device, Result, Tensor};
+use realo_methods::detect::pillars::{Pillariser, Points};
 use realo_nn::model::{Grid, PillarSettings};
-use realo_nn::pillars::{Pillariser, Points};
 
 use super::*;
 

@@ -329,7 +329,7 @@ impl<'a> Training<'a> {
         } = &mut self.state;
         let step = optimizer.steps;
         let how = &self.options.optimizer;
-        let weights = loss::LossWeights::default();
+        let weights = crate::loss::LossWeights::default();
         let pass = match &batch.input {
             Input::Points(pillars) => network.pass(pillars, &batch.targets, &weights)?,
             Input::Maps(samples) => network.pass_on_maps(samples, &batch.targets, &weights)?,
@@ -373,7 +373,7 @@ impl<'a> Training<'a> {
             Some(start) => Some(self.scored(&self.network_of(start)?, true)?),
             None if self.writes_beside_model() => None,
             // Weights that cannot be loaded are not what the user would lose.
-            None => match realo_nn::load(&self.options.model, Kernels::auto(1)) {
+            None => match realo_methods::load(&self.options.model, Kernels::auto(1)) {
                 Ok(loaded) => Some(self.scored(&self.network_of(&loaded.weights)?, false)?),
                 Err(_) => None,
             },

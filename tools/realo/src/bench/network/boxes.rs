@@ -3,12 +3,13 @@
 use std::fmt;
 
 use eyre::{Result, ensure};
-use realo_detection_head::Decoder;
+use realo_bev::Decoder;
+use realo_kernels::agents::Agent;
+use realo_kernels::canvas::Canvas;
+use realo_methods::Model;
+use realo_methods::network::{Heads, Network, NetworkOptions};
 use realo_nn::anchors::Anchors;
-use realo_nn::canvas::Canvas;
-use realo_nn::fuse::Agent;
-use realo_nn::model::{Model, Precision};
-use realo_nn::network::{Heads, Network, NetworkOptions};
+use realo_nn::model::Precision;
 use realo_nn::weights::Weights;
 use realo_schemas::Box3;
 use realo_schemas::geometry::{Footprint, iou};

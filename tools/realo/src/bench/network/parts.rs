@@ -1,12 +1,14 @@
 //! What lies between encoders and heads, by itself: compressor, warp, fusion.
 
-use eyre::{OptionExt, Result};
+use eyre::{OptionExt, Result, ensure};
+use realo_kernels::agents::{Agent, Placer};
+use realo_kernels::bev::BevMap;
+use realo_kernels::warp::Warp;
+use realo_methods::Model;
+use realo_methods::detect::pillars::Points;
+use realo_methods::network::{Network, NetworkOptions, Section};
 use realo_nn::filler::{self, Numbers};
-use realo_nn::fuse::{Agent, Placer, Warp};
 use realo_nn::layers::Layers;
-use realo_nn::model::Model;
-use realo_nn::network::{BevMap, Network, NetworkOptions, Section};
-use realo_nn::pillars::Points;
 
 use super::{ROUNDS, ROUNDS_OF_FULL, Row, calibrated, operations, precisions, row, timed};
 
@@ -18,15 +20,15 @@ const TURNED: Warp = Warp([[0.995, -0.0998, 12.3], [0.0998, 0.995, -7.7]]);
 /// The learned compressor of a model, on either side of the link: from f32 to f32.
 pub fn compressor(model: &Model, points: &Points, threads: usize, rows: &mut Vec<Row>) -> Result<()> {
     let mut model = model.clone();
-    let compression = model.arch.compression_mut();
-    *compression.ok_or_eyre("a model that shares no maps has no compressor")? = COMPRESSION;
+    ensure!(model.arch.fuses(), "a model that shares no maps has no compressor");
+    model.arch.set_compression(COMPRESSION);
     model.activations.clear();
     let weights = filler::weights(&model, 1);
     let model = calibrated(model, &weights, points)?;
     let layers = Layers::of(&model);
     let last = layers.steps().iter().find(|step| step.to == layers.features);
     let whole = last.ok_or_eyre("no layer makes the shared map")?.from[0];
-    for precision in precisions(realo_nn::conv::Isa::detect()) {
+    for precision in precisions(realo_kernels::conv::Isa::detect()) {
         let options = NetworkOptions {
             precision: Some(precision),
             threads,

@@ -3,7 +3,7 @@
 use std::arch::x86_64::*;
 use std::cell::RefCell;
 
-use realo_nn::conv::Isa;
+use realo_kernels::conv::Isa;
 
 use super::View;
 

@@ -7,7 +7,7 @@ mod bf16;
 use std::fmt;
 use std::str::FromStr;
 
-use realo_nn::conv::Isa;
+use realo_kernels::conv::Isa;
 
 /// In which numbers products are computed; sums are f32.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]

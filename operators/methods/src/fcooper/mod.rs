@@ -1,0 +1,75 @@
+//! F-Cooper: the maximum of each feature (Chen et al. 2019), as V2X-Real builds it.
+
+mod kernel;
+#[cfg(feature = "candle")]
+mod tensor;
+
+use realo_nn::layers::FuseLayer;
+use realo_nn::model::Sharing;
+use realo_nn::weights::Weights;
+use serde::{Deserialize, Serialize};
+use serde_json::Value;
+
+pub use kernel::Max;
+
+use crate::method::{Arithmetic, ByCell, Fuse, Method};
+#[cfg(feature = "candle")]
+use crate::tensors::{self, Tensors};
+
+/// Settings in a model file.
+#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
+pub struct Settings {
+    /// Agents that are fused at most, the ego among them.
+    pub agents: usize,
+    /// How many times fewer channels cross than the map has; 0: all of them cross.
+    pub compression: usize,
+}
+
+impl Default for Settings {
+    fn default() -> Self {
+        let Sharing { agents, compression } = Sharing::default();
+        Settings { agents, compression }
+    }
+}
+
+impl Method for Settings {
+    const NAME: &'static str = "fcooper";
+    const TITLE: &'static str = "F-Cooper";
+    const REFERENCE: Option<&'static str> = Some("PointPillarFCooper");
+
+    fn sharing(&self) -> Sharing {
+        Sharing {
+            agents: self.agents,
+            compression: self.compression,
+        }
+    }
+
+    fn with_compression(self, compression: usize) -> Self {
+        Settings { compression, ..self }
+    }
+
+    fn kernel(&self, _: &FuseLayer, _: &Weights, _: Arithmetic) -> Box<dyn Fuse> {
+        Box::new(ByCell(Max))
+    }
+
+    #[cfg(feature = "candle")]
+    fn operation(
+        &self,
+        _: &FuseLayer,
+        _: &Tensors,
+        agents: &[tensors::Agent],
+    ) -> candle_core::Result<candle_core::Tensor> {
+        tensor::max(&tensors::placed(agents)?)
+    }
+
+    fn of_reference(config: &Value, sharing: Sharing) -> Option<Result<Self, String>> {
+        let Sharing { agents, compression } = sharing;
+        let is_it = match config["kind"].as_str() {
+            Some(kind) => kind.split('_').next() == Some(Self::NAME),
+            // The vector of the fusion alone has no settings.
+            None => config.as_object().is_none_or(|config| config.is_empty()),
+        };
+        is_it.then_some(Ok(Settings { agents, compression }))
+    }
+}

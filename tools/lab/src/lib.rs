@@ -1,0 +1,3 @@
+//! The workbench: it makes logs, weights and measurements for what runs in the car.
+
+pub mod measure;
