@@ -177,7 +177,24 @@ impl Checkpoint {
         let steps =
             steps.ok_or_else(|| format!("`steps`: expected 0 to {} of the plan, found `{reported}`", plan.steps))?;
         let file = SafeTensors::deserialize(bytes).map_err(|error| error.to_string())?;
-        let read = |name: &str, shape: &[usize]| read_numbers(&file, name, shape);
+        let read = |name: &str, shape: &[usize]| -> Result<Vec<f32>, String> {
+            let view = file
+                .tensor(name)
+                .map_err(|_| format!("expected `{name}` {shape:?}, found none"))?;
+            if view.dtype() != Dtype::F32 || view.shape() != shape {
+                return Err(format!(
+                    "expected `{name}` F32 {shape:?}, found {:?} {:?}",
+                    view.dtype(),
+                    view.shape()
+                ));
+            }
+            let numbers = view.data().as_chunks::<4>().0.iter();
+            let numbers: Vec<f32> = numbers.map(|bytes| f32::from_le_bytes(*bytes)).collect();
+            match numbers.iter().all(|number| number.is_finite()) {
+                true => Ok(numbers),
+                false => Err(format!("expected finite numbers in `{name}`, found others")),
+            }
+        };
         let mut values = HashMap::new();
         for spec in Layers::of(model).tensors() {
             let read = read(&spec.key, &spec.shape)?;
@@ -194,58 +211,38 @@ impl Checkpoint {
             optimizer.first[index] = read(&format!("adam.first.{}", parameter.name), shape)?;
             optimizer.second[index] = read(&format!("adam.second.{}", parameter.name), shape)?;
         }
+        let steps_of_decoys = file
+            .names()
+            .into_iter()
+            .filter_map(|name| name.strip_prefix(DECOYS)?.parse::<u64>().ok());
+        let mut supply = Supply::default();
+        for step in steps_of_decoys.collect::<BTreeSet<u64>>() {
+            let name = format!("{DECOYS}{step}");
+            let view = file.tensor(&name).map_err(|error| error.to_string())?;
+            supply.add(step, Decoys::from_numbers(&read(&name, view.shape())?));
+        }
+        let curve = file.tensor("curve").map_err(|error| error.to_string())?;
+        let numbers: Vec<f64> = curve
+            .data()
+            .as_chunks::<8>()
+            .0
+            .iter()
+            .map(|bytes| f64::from_le_bytes(*bytes))
+            .collect();
+        let points = numbers
+            .as_chunks::<{ Point::NUMBERS }>()
+            .0
+            .iter()
+            .map(Point::from_numbers)
+            .collect();
         Ok(Checkpoint {
             network,
             optimizer,
-            curve: read_curve(&file)?,
-            supply: read_supply(&file)?,
+            curve: Curve { points },
+            supply,
             plan,
         })
     }
-}
-
-/// Numbers of a tensor whose shape is known.
-fn read_numbers(file: &SafeTensors, name: &str, shape: &[usize]) -> Result<Vec<f32>, String> {
-    let view = file
-        .tensor(name)
-        .map_err(|_| format!("expected `{name}` {shape:?}, found none"))?;
-    if view.dtype() != Dtype::F32 || view.shape() != shape {
-        return Err(format!(
-            "expected `{name}` F32 {shape:?}, found {:?} {:?}",
-            view.dtype(),
-            view.shape()
-        ));
-    }
-    let numbers = view.data().as_chunks::<4>().0.iter();
-    let numbers: Vec<f32> = numbers.map(|bytes| f32::from_le_bytes(*bytes)).collect();
-    match numbers.iter().all(|number| number.is_finite()) {
-        true => Ok(numbers),
-        false => Err(format!("expected finite numbers in `{name}`, found others")),
-    }
-}
-
-fn read_supply(file: &SafeTensors) -> Result<Supply, String> {
-    let steps = file
-        .names()
-        .into_iter()
-        .filter_map(|name| name.strip_prefix(DECOYS)?.parse::<u64>().ok());
-    let mut supply = Supply::default();
-    for step in steps.collect::<BTreeSet<u64>>() {
-        let name = format!("{DECOYS}{step}");
-        let view = file.tensor(&name).map_err(|error| error.to_string())?;
-        supply.add(step, Decoys::from_numbers(&read_numbers(file, &name, view.shape())?));
-    }
-    Ok(supply)
-}
-
-fn read_curve(file: &SafeTensors) -> Result<Curve, String> {
-    let curve = file.tensor("curve").map_err(|error| error.to_string())?;
-    let numbers = curve.data().as_chunks::<8>().0.iter();
-    let numbers: Vec<f64> = numbers.map(|bytes| f64::from_le_bytes(*bytes)).collect();
-    let points = numbers.as_chunks::<{ Point::NUMBERS }>().0.iter();
-    Ok(Curve {
-        points: points.map(Point::from_numbers).collect(),
-    })
 }
 
 /// Writes a network as the files of weights that inference reads; of two, the second gets what training leaves as it is.

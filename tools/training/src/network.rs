@@ -1,7 +1,5 @@
 //! The trainable PointPillars detector of a model.
 
-mod run;
-
 use std::collections::HashMap;
 use std::sync::Arc;
 
@@ -9,17 +7,18 @@ use crate::loss::{HeadMaps, Loss, LossWeights, loss};
 use crate::targets::Targets;
 use candle_core::{Tensor, TensorId};
 use rayon::prelude::*;
-use realo_nn::layers::{FuseLayer, Fusion, Layer, Layers, Role, TensorSpec, norm_key};
-use realo_nn::loss::{HeadMaps, Loss, LossWeights, loss};
-use realo_nn::model::Model;
-use realo_nn::targets::Targets;
-use realo_nn::transformer::initial_delays;
+use realo_methods::Model;
+use realo_methods::method::Learning;
+use realo_nn::layers::{ConvLayer, Layer, Layers, MapId, PointLayer, Step};
+use realo_nn::tensors::{Role, TensorSpec, norm_key};
 
-use crate::fusing::frozen;
-use crate::layers::{Arithmetic, MapShape, PillarBatch, Statistics, buffer, tensor, with_numbers};
+use crate::fusing::{frozen, learning};
+use crate::layers::{
+    Arithmetic, Bias, Conv, MapShape, Moments, Norm, PillarBatch, PillarLayer, Pointwise, Statistics, WeightOrder,
+    buffer, tensor, with_numbers,
+};
 use crate::random::Stream;
 use crate::tape::Tape;
-use run::{Maps, Run};
 
 /// Share of a batch's statistics in the running ones.
 const MOMENTUM: f32 = 0.01;
@@ -251,6 +250,119 @@ impl Network {
 
     fn value(&self, key: &str) -> &Tensor {
         &self.parameters[self.places[key]].value
+    }
+}
+
+/// The maps of a forward pass; one that nobody reads any more is let go.
+struct Maps {
+    made: HashMap<MapId, Tensor>,
+    readers: HashMap<MapId, usize>,
+}
+
+impl Maps {
+    fn of(order: &[&Step]) -> Self {
+        let mut readers = HashMap::new();
+        for map in order.iter().flat_map(|step| &step.from) {
+            *readers.entry(*map).or_default() += 1;
+        }
+        Maps {
+            made: HashMap::new(),
+            readers,
+        }
+    }
+
+    fn read(&mut self, map: MapId) -> Tensor {
+        let left = self.readers.entry(map).or_default();
+        *left = left.saturating_sub(1);
+        let made = match left {
+            0 => self.made.remove(&map),
+            _ => self.made.get(&map).cloned(),
+        };
+        made.expect("steps in an order in which they can be computed")
+    }
+}
+
+/// A forward pass.
+struct Run<'a> {
+    network: &'a Network,
+    tape: &'a mut Tape,
+    /// Whether batch norms take the batch's statistics.
+    by_batch: bool,
+    statistics: Vec<(String, Statistics)>,
+}
+
+impl Run<'_> {
+    fn statistics(&mut self, norm: &str) -> candle_core::Result<Statistics> {
+        let statistics = if self.by_batch {
+            Statistics::batch()
+        } else {
+            let [mean, variance] = [Role::RunningMean, Role::RunningVariance].map(|part| {
+                let value = self.network.value(&norm_key(norm, part));
+                with_numbers(value, |values| Ok(values.to_vec()))
+            });
+            Statistics::Running(Moments {
+                mean: mean?,
+                variance: variance?,
+                count: 1,
+            })
+        };
+        self.statistics.push((norm.to_string(), statistics.clone()));
+        Ok(statistics)
+    }
+
+    fn points(&mut self, layer: &PointLayer, batch: &Arc<PillarBatch>) -> candle_core::Result<Tensor> {
+        let op = PillarLayer::new(batch.clone(), self.statistics(&layer.norm)?);
+        let network = self.network;
+        let [weight, bias] = norm_keys(&layer.norm).map(|key| network.value(&key));
+        self.tape.apply3(op, network.value(&layer.weight_key()), weight, bias)
+    }
+
+    fn convolution(&mut self, layer: &ConvLayer, map: &Tensor) -> candle_core::Result<Tensor> {
+        let network = self.network;
+        let weight = network.value(&layer.weight_key());
+        let made = match (layer.transposed, layer.kernel) {
+            (true, _) => self.pointwise(WeightOrder::Transposed, map, weight),
+            (false, 1) if layer.stride == 1 => self.pointwise(WeightOrder::Plain, map, weight),
+            (false, 3) => {
+                let (stride, arithmetic) = (layer.stride, network.arithmetic);
+                self.tape.apply2(Conv { stride, arithmetic }, map, weight)
+            }
+            (false, kernel) => candle_core::bail!(
+                "`{}`: there is no training for a kernel of {kernel} at stride {}",
+                layer.key,
+                layer.stride
+            ),
+        }?;
+        let biased = match layer.bias_key() {
+            Some(key) => {
+                let relu = layer.relu && layer.norm.is_none();
+                self.tape.apply2(Bias { relu }, &made, network.value(&key))?
+            }
+            None => made,
+        };
+        match &layer.norm {
+            Some(norm) if layer.relu => self.norm(norm, &biased),
+            None if layer.bias || !layer.relu => Ok(biased),
+            _ => candle_core::bail!(
+                "`{}`: there is no training for a ReLU without bias or a norm without ReLU",
+                layer.key
+            ),
+        }
+    }
+
+    fn pointwise(&mut self, order: WeightOrder, map: &Tensor, weight: &Tensor) -> candle_core::Result<Tensor> {
+        let arithmetic = self.network.arithmetic;
+        self.tape.apply2(Pointwise { order, arithmetic }, map, weight)
+    }
+
+    /// Batch norm and ReLU.
+    fn norm(&mut self, norm: &str, map: &Tensor) -> candle_core::Result<Tensor> {
+        let op = Norm {
+            statistics: self.statistics(norm)?,
+        };
+        let network = self.network;
+        let [weight, bias] = norm_keys(norm).map(|key| network.value(&key));
+        self.tape.apply3(op, map, weight, bias)
     }
 }
 

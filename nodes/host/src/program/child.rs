@@ -2,7 +2,6 @@
 
 mod words;
 
-use std::io::Read;
 use std::process::{Child as Process, Command};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};

@@ -1,30 +1,142 @@
 //! From a frame to what a network learns from: an ego, its collaborators, their merged cloud, augmented, as pillars with
 //! targets.
 
-mod augmentation;
-mod change;
-mod kept;
-
-use nalgebra::{Isometry3, Vector3};
+use crate::targets::{Object, Targets, assign};
+use nalgebra::{Isometry3, Matrix3, UnitQuaternion, Vector3};
+use realo_methods::Model;
+use realo_methods::detect::pillars::{Pillariser, Points};
 use realo_nn::anchors::Anchors;
-use realo_nn::model::{Grid, Model};
-use realo_nn::pillars::{Pillariser, Points};
-use realo_nn::targets::{Object, Targets, assign};
+use realo_nn::model::Grid;
+use serde::{Deserialize, Serialize};
 
 use super::crowd::{clear, crowd};
-use super::frame::{AgentSweep, Frame};
+use super::frame::{AgentSweep, Frame, Return};
 use super::resize::resize;
+use crate::fusing::learns_to_fuse;
 use crate::layers::PillarFrame;
 use crate::random::Stream;
-pub use augmentation::Augmentation;
-pub(crate) use change::Change;
-pub(crate) use kept::Kept;
 
 /// How far collaborators are from the ego at most, m.
 const REACH: f64 = 70.0;
 
 /// Points of all who take part that an object needs to be one.
 const LEAST_POINTS: f64 = 5.0;
+
+/// How samples are drawn and changed.
+#[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Augmentation {
+    /// Probability that the ego is a roadside unit.
+    pub roadside_ego: f64,
+    /// Probability that the ego is alone.
+    pub alone: f64,
+    /// Probability that everybody within 70 m takes part; else everybody does by a coin of his own.
+    pub everybody: f64,
+    /// Largest rotation of what is seen on the whole grid, rad; squares are turned by any angle. At 45 degrees the road,
+    /// along which the grid is longest, would leave it after 55 m, at 20 degrees after 115 m.
+    pub rotation: f64,
+    /// Largest pitch and roll, rad.
+    pub tilt: f64,
+    /// Largest rise and fall, m.
+    pub lift: f64,
+    /// Probability that what is seen is neither tilted nor lifted: frames are levelled before they reach a network, and from afar
+    /// their heights alone tell vans from cars.
+    pub level: f64,
+    /// Min and max scale.
+    pub scale: [f64; 2],
+    /// Min and max factor of each object's length, width and height, with its points; recorded sizes are others than ours.
+    pub resize: [f64; 2],
+    /// Probability that a far object has more background around it, if the ego is a vehicle.
+    pub crowd: f64,
+    /// Probability that far objects have none around them, if the ego is a roadside unit.
+    pub clear: f64,
+    /// Probability of mirroring left and right, and front and rear.
+    pub mirror: f64,
+    /// Probability that an agent's beams are dropped: three of four, every second, or any by chance.
+    pub drop_beams: f64,
+    /// Probability that points are dropped.
+    pub drop: f64,
+    /// Smallest share of points that is kept then.
+    pub keep: f64,
+    /// Decoys that a sample has at most: background that looked like an object when the network was last validated.
+    pub decoys: usize,
+    /// Deviations of a collaborator's position (m) and heading (rad), as two independent GNSS/INS have.
+    pub pose_noise: [f64; 2],
+}
+
+impl Default for Augmentation {
+    fn default() -> Self {
+        Augmentation {
+            roadside_ego: 0.33,
+            alone: 0.5,
+            everybody: 0.3,
+            rotation: 20f64.to_radians(),
+            tilt: 1.5f64.to_radians(),
+            lift: 0.3,
+            level: 0.5,
+            scale: [0.95, 1.05],
+            resize: [0.94, 1.1],
+            crowd: 0.75,
+            clear: 0.5,
+            mirror: 0.5,
+            drop_beams: 0.5,
+            drop: 0.3,
+            keep: 0.5,
+            decoys: 3,
+            pose_noise: [0.03, 0.002],
+        }
+    }
+}
+
+impl Augmentation {
+    /// Frames as they are.
+    pub fn none() -> Self {
+        Augmentation {
+            rotation: 0.0,
+            tilt: 0.0,
+            lift: 0.0,
+            level: 1.0,
+            scale: [1.0, 1.0],
+            resize: [1.0, 1.0],
+            crowd: 0.0,
+            clear: 0.0,
+            mirror: 0.0,
+            drop_beams: 0.0,
+            drop: 0.0,
+            keep: 1.0,
+            decoys: 0,
+            pose_noise: [0.0; 2],
+            ..Augmentation::default()
+        }
+    }
+
+    /// What a model needs.
+    pub fn of(model: &Model) -> Self {
+        match learns_to_fuse(model) {
+            true => Augmentation::of_fusion(),
+            false => Augmentation::default(),
+        }
+    }
+
+    /// For a fusion: the others' poses err, and most egos have company.
+    pub fn of_fusion() -> Self {
+        Augmentation {
+            roadside_ego: 0.2,
+            alone: 0.1,
+            everybody: 0.6,
+            pose_noise: Augmentation::default().pose_noise,
+            ..Augmentation::none()
+        }
+    }
+
+    /// How far a collaborator believes itself from where it is, as `true_from_believed`.
+    pub(crate) fn pose_error(&self, draws: &mut Stream) -> Isometry3<f64> {
+        let [position, heading] = self.pose_noise;
+        let off = Vector3::from_fn(|_, _| position * draws.normal());
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), heading * draws.normal());
+        Isometry3::from_parts(off.into(), turn)
+    }
+}
 
 /// A sample of a batch.
 #[derive(Clone, Debug)]
@@ -81,6 +193,125 @@ pub(crate) fn near(frame: &Frame, ego: usize) -> Vec<usize> {
     all.filter(|(_, agent)| (position(agent) - center).norm() <= REACH)
         .map(|(index, _)| index)
         .collect()
+}
+
+/// A beam is not dropped if so few would be left.
+const FEWEST_BEAMS: usize = 16;
+
+/// What is kept of a sweep: whole beams, and a share of their points by chance.
+#[derive(Clone, Debug)]
+pub(crate) struct Kept {
+    /// By number of the beam; beams beyond are kept.
+    beams: Vec<bool>,
+    share: f64,
+}
+
+impl Kept {
+    /// Everything.
+    pub fn all() -> Self {
+        Kept {
+            beams: Vec::new(),
+            share: 1.0,
+        }
+    }
+
+    fn draw(agent: &AgentSweep, share: f64, how: &Augmentation, draws: &mut Stream) -> Self {
+        let mut kept = Kept {
+            beams: Vec::new(),
+            share,
+        };
+        let count = agent
+            .points
+            .iter()
+            .map(|point| point.ring)
+            .max()
+            .map_or(0, |last| usize::from(last) + 1);
+        if !draws.chance(how.drop_beams) || count < 2 * FEWEST_BEAMS {
+            return kept;
+        }
+        kept.beams = match (draws.below(3), count / FEWEST_BEAMS) {
+            (0, 4..) => every(4, count, draws),
+            (0 | 1, _) => every(2, count, draws),
+            _ => {
+                let share = draws.between(0.5, 1.0);
+                (0..count).map(|_| draws.chance(share)).collect()
+            }
+        };
+        kept
+    }
+
+    fn has(&self, point: &Return) -> bool {
+        self.beams.get(usize::from(point.ring)).copied().unwrap_or(true)
+    }
+
+    /// Share of an agent's points that is kept.
+    fn of(&self, agent: &AgentSweep) -> f64 {
+        let kept = agent.points.iter().filter(|point| self.has(point)).count();
+        self.share * kept as f64 / agent.points.len().max(1) as f64
+    }
+}
+
+/// Every n-th of so many beams.
+fn every(n: usize, count: usize, draws: &mut Stream) -> Vec<bool> {
+    let first = draws.below(n);
+    (0..count).map(|beam| beam % n == first).collect()
+}
+
+/// How a scene is changed: mirrored left and right and front and rear, turned, tilted, scaled and lifted, in this order.
+#[derive(Clone, Debug)]
+pub(crate) struct Change {
+    matrix: Matrix3<f64>,
+    lift: f64,
+    mirror: [f64; 2],
+    turn: f64,
+    scale: f64,
+}
+
+impl Change {
+    /// `rotation`: the largest, rad.
+    pub fn draw(how: &Augmentation, rotation: f64, draws: &mut Stream) -> Self {
+        let mirror = [(); 2].map(|()| if draws.chance(how.mirror) { -1.0 } else { 1.0 });
+        let turn = draws.between(-rotation, rotation);
+        let scale = draws.between(how.scale[0], how.scale[1]);
+        let [tilt, lift] = if draws.chance(how.level) {
+            [0.0; 2]
+        } else {
+            [how.tilt, how.lift]
+        };
+        let [roll, pitch] = [(); 2].map(|()| draws.between(-tilt, tilt));
+        let tilted = UnitQuaternion::from_euler_angles(roll, pitch, 0.0);
+        let turned = tilted * UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turn);
+        let mirrored = Matrix3::from_diagonal(&Vector3::new(mirror[0], mirror[1], 1.0));
+        Change {
+            matrix: scale * turned.to_rotation_matrix().matrix() * mirrored,
+            lift: draws.between(-lift, lift),
+            mirror,
+            turn,
+            scale,
+        }
+    }
+
+    /// Where a point comes to.
+    pub fn point(&self, point: [f64; 3]) -> [f64; 3] {
+        let [x, y, z] = (self.matrix * Vector3::from(point)).into();
+        [x, y, z + self.lift]
+    }
+
+    /// A box as `x, y, z, h, w, l, yaw`; it stays upright.
+    fn hwl(&self, [x, y, z, h, w, l, yaw]: [f64; 7]) -> [f64; 7] {
+        let [x, y, z] = self.point([x, y, z]);
+        let [h, w, l] = [h, w, l].map(|side| side * self.scale);
+        let mirrored = (yaw.sin() * self.mirror[1]).atan2(yaw.cos() * self.mirror[0]);
+        [
+            x,
+            y,
+            z,
+            h,
+            w,
+            l,
+            realo_schemas::geometry::normalize_yaw(mirrored + self.turn),
+        ]
+    }
 }
 
 /// A merged cloud with the objects in it, in the ego's body frame.
@@ -283,7 +514,6 @@ mod tests {
 
     use super::super::frame::Seen;
     use super::*;
-    use nalgebra::UnitQuaternion;
 
     fn pose(x: f64, y: f64, yaw: f64) -> Isometry3<f64> {
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
