@@ -1,20 +1,25 @@
+mod entry;
+mod needs;
+mod reader;
+
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::Path;
 use std::sync::Arc;
 
-use realo_schemas::geometry::View;
-use realo_schemas::{AgentState, Boxes, Name, Nanos, PointCloud, PoseStatus, SAME_STAMP, to_seconds};
+use realo_schemas::{Name, Nanos};
 
 use crate::cdr::CdrReader;
-use crate::frames::bare;
 use crate::info::{CLOCKS, END_RECORD, LEVELLED, LOG_RECORD};
-use crate::log_writer::body;
-use crate::mcap_file::{ChannelInfo, McapFile, Messages, RawMessage, Truncation};
-use crate::packets::{self, SentPacket};
+use crate::mcap_file::{ChannelInfo, McapFile, Truncation};
 use crate::repeats::Repeats;
-use crate::stamps::{Stamps, stamp_of};
+use crate::stamps::Stamps;
 use crate::sweeps::{Context, NoCloud, SweepsInfo};
-use crate::{BoxesInfo, Levelled, LogError, LogInfo, PeerClock, Stream, boxes, foreign, pose, views};
+use crate::{Levelled, LogError, LogInfo, PeerClock, Stream};
+pub use entry::Entry;
+pub(crate) use needs::join;
+use needs::not_realo;
+pub use reader::LogReader;
+use reader::follow_each_other;
 
 /// An open log.
 #[derive(Clone, Debug)]
@@ -256,89 +261,6 @@ impl Log {
         self.streams.contains_key(&(agent.to_string(), stream))
     }
 
-    /// Fails, saying what there is, unless the log has the agent.
-    ///
-    /// # Errors
-    /// [`LogError::MissingAgent`].
-    pub fn need_agent(&self, agent: &str) -> Result<(), LogError> {
-        match self.info.agent(agent) {
-            Some(_) => Ok(()),
-            None => Err(LogError::MissingAgent {
-                path: self.path().into(),
-                agent: agent.into(),
-                has: join(self.info.agents.iter().map(|agent| agent.name.as_str())),
-            }),
-        }
-    }
-
-    /// Fails, saying what there is, unless the agent has messages on the stream.
-    ///
-    /// # Errors
-    /// [`LogError::MissingAgent`], [`LogError::MissingTopic`].
-    pub fn need(&self, agent: &str, stream: Stream) -> Result<(), LogError> {
-        self.need_agent(agent)?;
-        match self.has(agent, stream) {
-            true => Ok(()),
-            false => Err(LogError::MissingTopic {
-                path: self.path().into(),
-                agent: agent.into(),
-                topic: stream.topic(agent),
-                has: self.topics_beside(agent),
-            }),
-        }
-    }
-
-    /// Agents that have poses and sweeps while the log's record does not name them, and how many messages of theirs there are.
-    pub fn undeclared(&self) -> BTreeMap<String, u64> {
-        let mut found: BTreeMap<String, (BTreeSet<Stream>, u64)> = BTreeMap::new();
-        for (topic, messages) in self.topics() {
-            let Some((agent, stream)) = parse_topic(&topic) else {
-                continue;
-            };
-            if self.info.agent(&agent).is_none() {
-                let (streams, count) = found.entry(agent).or_default();
-                streams.insert(stream);
-                *count += messages.messages;
-            }
-        }
-        let is_agent = |streams: &BTreeSet<Stream>| {
-            let has_sweeps = [Stream::Sweeps, Stream::Points]
-                .iter()
-                .any(|stream| streams.contains(stream));
-            has_sweeps && streams.contains(&Stream::Pose)
-        };
-        let agents = found.into_iter().filter(|(_, (streams, _))| is_agent(streams));
-        agents.map(|(agent, (_, count))| (agent, count)).collect()
-    }
-
-    /// Topics that nothing reads, and how many messages each has.
-    pub fn not_read(&self) -> BTreeMap<String, u64> {
-        let is_read = |topic: &str| {
-            let agent = parse_topic(topic).map(|(agent, _)| agent);
-            crate::frames::TOPICS.contains(&topic) || agent.is_some_and(|agent| self.info.agent(&agent).is_some())
-        };
-        let left = self.topics().into_iter().filter(|(topic, _)| !is_read(topic));
-        left.map(|(topic, channel)| (topic, channel.messages)).collect()
-    }
-
-    /// The topics of an agent, and those that are of no agent.
-    pub(crate) fn topics_beside(&self, agent: &str) -> String {
-        const SHOWN: usize = 12;
-        let is_of_others = |topic: &str| {
-            let owner = parse_topic(topic).map(|(owner, _)| owner);
-            owner.is_some_and(|owner| owner != agent && self.info.agent(&owner).is_some())
-        };
-        let topics = self.topics();
-        let mut shown: Vec<&str> = topics
-            .keys()
-            .map(String::as_str)
-            .filter(|topic| !is_of_others(topic))
-            .collect();
-        let more = shown.len() > SHOWN;
-        shown.truncate(SHOWN);
-        join(shown.into_iter().chain(more.then_some("…")))
-    }
-
     /// Messages of the wanted streams with log times in `[from, until)`, in order of log time, then of [`Stream`], then
     /// of the agents in [`LogInfo::agents`]. A log that was cut is read up to where messages are missing.
     ///
@@ -381,33 +303,6 @@ impl Log {
     }
 }
 
-/// Refuses a topic whose channels have messages at the same time: nobody can say which of two publishers is right.
-fn follow_each_other(file: &McapFile, channels: &[u16]) -> Result<(), LogError> {
-    let mut spans = Vec::new();
-    for id in channels {
-        if let Some((first, last)) = file.times_of(*id)? {
-            spans.push((first, last, *id));
-        }
-    }
-    spans.sort_unstable();
-    let Some([(_, until, one), (from, _, other)]) = spans.array_windows().find(|[a, b]| b.0 <= a.1) else {
-        return Ok(());
-    };
-    let messages = |id: &u16| file.channels()[id].messages;
-    Err(LogError::Content {
-        topic: file.channels()[one].topic.clone(),
-        log_time: nanos(*from),
-        reason: format!(
-            "two channels have this topic at the same time, {one} with {} messages until {:.3} s and {other} with {} from {:.3} s on: \
-             two publishers, or a message that was recorded twice; leave one of them in the log, or give the other a topic of its own",
-            messages(one),
-            to_seconds(nanos(*until)),
-            messages(other),
-            to_seconds(nanos(*from))
-        ),
-    })
-}
-
 /// Where the file was cut, and what it lacks by what the log says of itself.
 fn truncation(file: &McapFile, info: &LogInfo) -> Option<Truncation> {
     let cut = file.truncation()?;
@@ -437,260 +332,8 @@ pub(crate) fn times(file: &McapFile, topic: &str) -> Result<Option<(Nanos, Nanos
     Ok(span.map(|(first, last)| (nanos(first), nanos(last))))
 }
 
-fn not_realo(file: &McapFile) -> LogError {
-    let found = join(file.metadata().keys().map(String::as_str));
-    let hint = match file.metadata().contains_key(crate::RECORDING_RECORD) {
-        true => "it is a recording of a run: give it to `realo evaluate LOG --detections`".into(),
-        false => format!("it holds {}; {}", foreign::of_mcap(file), foreign::GUIDE),
-    };
-    LogError::NotRealo {
-        path: file.path().into(),
-        expected: "log of realo",
-        record: LOG_RECORD,
-        found,
-        hint,
-    }
-}
-
-pub(crate) fn join<'a>(names: impl Iterator<Item = &'a str>) -> String {
-    let names: Vec<&str> = names.collect();
-    if names.is_empty() {
-        "none".into()
-    } else {
-        names.join(", ")
-    }
-}
-
 pub(crate) fn parse_topic(topic: &str) -> Option<(String, Stream)> {
     let (agent, rest) = topic.strip_prefix('/')?.split_once('/')?;
     let stream = Stream::ALL.into_iter().find(|stream| stream.as_str() == rest)?;
     Some((agent.into(), stream))
-}
-
-/// Reads messages of a log in order.
-#[derive(Debug)]
-pub struct LogReader {
-    messages: Messages,
-    channels: BTreeMap<u16, (Stream, usize, Name)>,
-    ahead: Option<RawMessage>,
-    instant: VecDeque<Entry>,
-    repeats: Repeats,
-    stamps: Stamps,
-    context: Arc<Context>,
-}
-
-impl LogReader {
-    /// The next message; `None` after the last.
-    ///
-    /// # Errors
-    /// Bytes that contradict the format.
-    #[allow(clippy::should_implement_trait)]
-    pub fn next(&mut self) -> Result<Option<Entry>, LogError> {
-        if self.instant.is_empty() {
-            self.read_instant()?;
-        }
-        let Some(mut entry) = self.instant.pop_front() else {
-            return Ok(None);
-        };
-        // Several channels of a topic follow each other: they are one stream.
-        let (stream, rank, _) = &self.channels[&entry.raw.channel];
-        entry.stamp = self.stamps.unify(*stream, *rank, entry.stamp);
-        let noted = self.repeats.note((*stream, *rank), entry.stamp());
-        noted.map_err(|reason| entry.bad(reason)).map(|()| Some(entry))
-    }
-
-    /// Reads all messages of the next log time and puts them in order.
-    fn read_instant(&mut self) -> Result<(), LogError> {
-        let Some(first) = self
-            .ahead
-            .take()
-            .map_or_else(|| self.messages.next(), |raw| Ok(Some(raw)))?
-        else {
-            return Ok(());
-        };
-        let time = first.log_time;
-        let mut instant = vec![first];
-        loop {
-            match self.messages.next()? {
-                Some(raw) if raw.log_time == time => instant.push(raw),
-                other => {
-                    self.ahead = other;
-                    break;
-                }
-            }
-        }
-        instant.sort_by_key(|raw| {
-            let (stream, rank, _) = &self.channels[&raw.channel];
-            (*stream, *rank, raw.sequence)
-        });
-        self.instant.extend(instant.into_iter().map(|raw| {
-            let (stream, _, agent) = &self.channels[&raw.channel];
-            Entry {
-                agent: agent.clone(),
-                stream: *stream,
-                stamp: stamp_of(*stream, &raw),
-                raw,
-                context: self.context.clone(),
-            }
-        }));
-        Ok(())
-    }
-}
-
-/// One message of a log.
-#[derive(Clone, Debug)]
-pub struct Entry {
-    /// Its agent.
-    pub agent: Name,
-    /// Its stream.
-    pub stream: Stream,
-    stamp: Nanos,
-    raw: RawMessage,
-    context: Arc<Context>,
-}
-
-impl Entry {
-    /// Its number on its topic, from 0 at the log's beginning.
-    pub fn seq(&self) -> u64 {
-        self.raw.sequence.into()
-    }
-
-    /// The measurement's reference time, ns: the stamp of the message's header; where that is 0, the publish time. Messages of
-    /// an agent whose stamps differ by at most [`SAME_STAMP`] have the first of them.
-    pub fn stamp(&self) -> Nanos {
-        self.stamp
-    }
-
-    /// By how much the publish time is later than the stamp of the header, ns, where the two differ: one of them is wrong.
-    pub fn published_apart(&self) -> Option<Nanos> {
-        let apart = nanos(self.raw.publish_time).saturating_sub(stamp_of(self.stream, &self.raw));
-        (apart.abs() > SAME_STAMP).then_some(apart)
-    }
-
-    /// When it existed on the log's time line, ns.
-    pub fn ready(&self) -> Nanos {
-        nanos(self.raw.log_time)
-    }
-
-    /// The message as written.
-    pub fn data(&self) -> &[u8] {
-        self.raw.data()
-    }
-
-    /// The points of a sweep ([`Stream::Points`]) in the agent's body frame; intensities that the log has as floats in
-    /// 0…1 are scaled to 0…255.
-    ///
-    /// # Errors
-    /// Bytes that are no such message; points in a frame from which the log has no transform into the body frame;
-    /// [`LogError::Unplaced`] where it has some, but none near this time.
-    pub fn cloud(&self) -> Result<PointCloud, LogError> {
-        let cloud = self
-            .context
-            .cloud(self.raw.channel, &self.agent, self.stamp(), self.data());
-        cloud.map_err(|no_cloud| match no_cloud {
-            NoCloud::Unreadable(reason) => self.bad(reason),
-            NoCloud::Unplaced(reason) => LogError::Unplaced {
-                topic: self.stream.topic(&self.agent),
-                log_time: self.ready(),
-                reason,
-            },
-        })
-    }
-
-    /// Looks whether a sweep ([`Stream::Points`]) is whole and its frame one that leads to the agent's body, without its points.
-    ///
-    /// # Errors
-    /// As [`Entry::cloud`], but for what the points alone tell.
-    pub(crate) fn look_at_cloud(&self) -> Result<(), LogError> {
-        let looked = self.context.look(&self.agent, self.stamp(), self.data());
-        looked.map_err(|reason| self.bad(reason))
-    }
-
-    /// A pose ([`Stream::Pose`], [`Stream::PoseTruth`]).
-    ///
-    /// # Errors
-    /// Bytes that are no such message; another frame than the map's; numbers that are no pose.
-    pub fn pose(&self) -> Result<AgentState, LogError> {
-        let status = match self.stream {
-            Stream::PoseTruth => PoseStatus::Truth,
-            _ => PoseStatus::Recorded,
-        };
-        self.in_frame(&self.context.map_frame)
-            .and_then(|()| pose::decode(self.data(), status))
-            .and_then(|(_, state)| pose::fault(&state).map_or(Ok(state), Err))
-            .map_err(|reason| self.bad(reason))
-    }
-
-    /// Why the covariance of a pose that can be read cannot be right, in words; such a pose has an unknown one.
-    pub fn wrong_covariance(&self) -> Option<String> {
-        pose::wrong_covariance(self.data())
-    }
-
-    /// Boxes ([`Stream::Detections`], [`Stream::GroundTruth`], [`Stream::OwnLabels`]) without what their companion says.
-    ///
-    /// # Errors
-    /// Bytes that are no such message; another frame than the agent's body.
-    pub fn boxes(&self) -> Result<Boxes, LogError> {
-        self.in_frame(&body(&self.agent))
-            .and_then(|()| boxes::decode_with(self.data(), |id| self.context.track(id)))
-            .map(|(_, boxes)| boxes)
-            .map_err(|reason| self.bad(reason))
-    }
-
-    /// Companion of `boxes` ([`Stream::DetectionsInfo`], [`Stream::GroundTruthInfo`], [`Stream::OwnLabelsInfo`]), which it completes.
-    ///
-    /// # Errors
-    /// Bytes that are no such message; a companion of other boxes.
-    pub fn info(&self, boxes: &mut Boxes) -> Result<BoxesInfo, LogError> {
-        boxes::decode_info(self.data(), boxes)
-            .map(|(_, info)| info)
-            .map_err(|reason| self.bad(reason))
-    }
-
-    /// Views ([`Stream::GroundTruthViews`], [`Stream::OwnLabelsViews`]).
-    ///
-    /// # Errors
-    /// Bytes that are no such message; another frame than the agent's body; numbers that are no view.
-    pub fn views(&self) -> Result<Vec<View>, LogError> {
-        self.in_frame(&body(&self.agent))
-            .and_then(|()| views::decode(self.data()))
-            .map(|(_, views)| views)
-            .map_err(|reason| self.bad(reason))
-    }
-
-    /// What the agent sent ([`Stream::Packets`]).
-    ///
-    /// # Errors
-    /// Bytes that are no such message.
-    pub fn packet(&self) -> Result<SentPacket, LogError> {
-        let packet = packets::decode(self.data()).map(|(_, packet)| packet);
-        packet.map_err(|reason| self.bad(reason))
-    }
-
-    /// Stamp in the message itself ([`Stream::Sweeps`]).
-    ///
-    /// # Errors
-    /// Bytes that are no such message.
-    pub fn header_stamp(&self) -> Result<Nanos, LogError> {
-        let read = || CdrReader::new(self.data())?.header().map(|(stamp, _)| stamp);
-        read().map_err(|reason| self.bad(reason))
-    }
-
-    fn in_frame(&self, expected: &str) -> Result<(), String> {
-        let (_, frame) = CdrReader::new(self.data())?.header()?;
-        match bare(frame) == bare(expected) {
-            true => Ok(()),
-            false => Err(format!(
-                "its frame is `{frame}`, expected `{expected}`; write it in that frame"
-            )),
-        }
-    }
-
-    fn bad(&self, reason: String) -> LogError {
-        LogError::Content {
-            topic: self.stream.topic(&self.agent),
-            log_time: self.ready(),
-            reason,
-        }
-    }
 }

@@ -1,14 +1,18 @@
 //! What stamps tell that a run of the log would stumble over: clocks, poses, stamps that match nothing, data that stop.
 
+mod gaps;
+mod truth;
+
 use std::collections::BTreeMap;
 
-use realo_schemas::{Name, Nanos, SAME_STAMP};
+use realo_schemas::Nanos;
 
-use crate::gaps::{Bare, Gaps, SWEEPS_MISSING, SWEEPS_WITHOUT_DETECTIONS};
-use crate::limits::{APART, TRUTH_WINDOW};
 use crate::map_points::{TRANSFORMS_DIFFER, TransformsApart};
-use crate::words::{millis, nearest_words, seconds, side};
-use crate::{Log, LogError, MAX_GAP, Standing, Step, Stream, clock_words, is_posed, kind_of_clock};
+use crate::words::{millis, nearest_words, seconds};
+use crate::{Log, LogError, MAX_GAP, Standing, Step, Stream, clock_words, is_posed};
+use gaps::{apart, gaps, median_gap, nearest, unmatched};
+pub use truth::{Outside, no_common_time};
+use truth::{bare, lost_truth, mismatch};
 
 /// A stamp nearer to its log time is of the same clock, ns.
 const IN_STEP: Nanos = 2_000_000_000;
@@ -257,117 +261,6 @@ fn joins(times: &AgentTimes, end: Nanos) -> Vec<String> {
     found
 }
 
-/// Sweeps without detections, of an agent that has some.
-fn bare(times: &AgentTimes, end: Nanos, elsewhere: u64) -> Option<String> {
-    let detections = times.streams.get(&Stream::Detections)?;
-    let mut bare = Bare::default();
-    for [stamp, ready] in times.sweeps() {
-        bare.sweep(*stamp, *ready);
-    }
-    for [stamp, ready] in detections {
-        bare.detections(*stamp, *ready);
-    }
-    let lack = bare.end(end, elsewhere)?;
-    let [note, remedy] = SWEEPS_WITHOUT_DETECTIONS;
-    Some(format!(
-        "`{}`: {} of {} {note} ({}); {remedy}",
-        times.agent, lack.count, lack.of, lack.place
-    ))
-}
-
-/// Truth that belongs to a sweep and has the stamp of none. Truth at more times than sweeps, or at fewer, is not a fault; beside
-/// sweeps that have none it is.
-fn lost_truth(own: &[Nanos], sweeps: &[Nanos]) -> Vec<Nanos> {
-    let bare = unmatched(sweeps, own);
-    let half = median_gap(sweeps) / 2;
-    let is_between = |stamp: &Nanos| {
-        let ends = sweeps.first().zip(sweeps.last());
-        ends.is_some_and(|(first, last)| (*first - half..=*last + half).contains(stamp))
-    };
-    let is_near = |stamp: &Nanos| is_between(stamp) && nearest(&bare, *stamp) <= TRUTH_WINDOW;
-    let outside = outside(own, sweeps);
-    let is_outside = |stamp: &Nanos| outside.binary_search(stamp).is_ok();
-    let lost = unmatched(own, sweeps).into_iter();
-    lost.filter(|stamp| is_near(stamp) || is_outside(stamp)).collect()
-}
-
-/// Stamps before the first sweep or after the last one, where there are sweeps without any at the rhythm of these stamps.
-fn outside(own: &[Nanos], sweeps: &[Nanos]) -> Vec<Nanos> {
-    let (Some(first), Some(last)) = (sweeps.first(), sweeps.last()) else {
-        return Vec::new();
-    };
-    let reach = TRUTH_WINDOW.max(median_gap(own));
-    let inside = *first - TRUTH_WINDOW..=*last + TRUTH_WINDOW;
-    let lacks = |sweep: &Nanos| nearest(own, *sweep) > reach;
-    match sweeps.iter().any(lacks) {
-        true => own.iter().copied().filter(|stamp| !inside.contains(stamp)).collect(),
-        false => Vec::new(),
-    }
-}
-
-/// Where stamps are relative to sweeps of which none has them, in words: the nearest one, and the clock that this looks like.
-fn distance_words(lost: &[Nanos], own: &[Nanos], sweeps: &[Nanos]) -> String {
-    let Some(first) = lost.first().filter(|_| !sweeps.is_empty()) else {
-        return nearest_words(None);
-    };
-    let far = nearest(sweeps, *first);
-    let words = nearest_words(Some(far));
-    // The first that is lost belongs to the first sweep without any.
-    let bare = unmatched(sweeps, own);
-    let kind = bare.first().and_then(|sweep| kind_of_clock(*first, *sweep));
-    match kind.filter(|_| far > TRUTH_WINDOW) {
-        Some(kind) => format!("{words}: looks like {kind}"),
-        None => words,
-    }
-}
-
-/// Messages of an agent before its first sweep or after its last one, beside sweeps that have none.
-#[derive(Clone, Debug, PartialEq, Eq)]
-pub struct Outside {
-    /// How many there are.
-    pub count: u64,
-    /// Of so many.
-    pub of: u64,
-    /// Where the nearest sweep is, and the clock that this looks like.
-    pub words: String,
-}
-
-impl Outside {
-    /// Looks at the messages of an agent's stream; `None` without sweeps, and where none are outside.
-    ///
-    /// # Errors
-    /// A log that cannot be read.
-    pub fn read(log: &Log, agent: &str, stream: Stream) -> Result<Option<Self>, LogError> {
-        let sweeps = [Stream::Sweeps, Stream::Points].into_iter();
-        let Some(of) = sweeps.into_iter().find(|stream| log.has(agent, *stream)) else {
-            return Ok(None);
-        };
-        if !log.has(agent, stream) {
-            return Ok(None);
-        }
-        let first = log.read_all(&[(agent, stream)])?.next()?;
-        let in_step = first.is_none_or(|first| (first.ready() - first.stamp()).abs() <= IN_STEP);
-        if in_step && is_within(log.times(&stream.topic(agent))?, log.times(&of.topic(agent))?) {
-            return Ok(None);
-        }
-        let (own, sweeps) = (read_stamps(log, agent, stream)?, read_stamps(log, agent, of)?);
-        let lost = outside(&own, &sweeps);
-        Ok((!lost.is_empty()).then(|| Outside {
-            count: lost.len() as u64,
-            of: own.len() as u64,
-            words: distance_words(&lost, &own, &sweeps),
-        }))
-    }
-}
-
-/// Whether the log times of messages lie within those of the sweeps, so that not all need to be read.
-fn is_within(own: Option<(Nanos, Nanos)>, sweeps: Option<(Nanos, Nanos)>) -> bool {
-    let (Some(own), Some(sweeps)) = (own, sweeps) else {
-        return true;
-    };
-    own.0 >= sweeps.0 - TRUTH_WINDOW && own.1 <= sweeps.1 + TRUTH_WINDOW
-}
-
 /// Stamps of a stream, in the order of their log times.
 ///
 /// # Errors
@@ -380,120 +273,6 @@ pub(crate) fn read_stamps(log: &Log, agent: &str, stream: Stream) -> Result<Vec<
     }
     stamps.sort_unstable();
     Ok(stamps)
-}
-
-fn mismatch(
-    times: &AgentTimes,
-    stream: Stream,
-    lost: &[Nanos],
-    all: usize,
-    (what, others): (&str, &[Nanos]),
-) -> Option<String> {
-    if lost.is_empty() {
-        return None;
-    }
-    let topic = stream.topic(&times.agent);
-    let nearest = distance_words(lost, &times.stamps(stream), others);
-    Some(format!(
-        "{topic}: {} of {all} messages have the stamp of no {what}: {nearest}; all that is of one sweep needs its stamp (within 1 µs)",
-        lost.len()
-    ))
-}
-
-/// How far the sweeps of two agents, each from its first to its last, are apart, in words; `None` where they have a time in common.
-/// The words are about the second agent.
-pub fn no_common_time([first, last]: [Nanos; 2], [begin, end]: [Nanos; 2], of_first: &str) -> Option<String> {
-    if (begin - last).max(first - end) <= APART {
-        return None;
-    }
-    let by = begin - first;
-    let words = format!("they begin {} s {} {of_first}", seconds(by), side(by));
-    Some(match kind_of_clock(begin, first) {
-        Some(kind) => format!("{words}: looks like {kind}"),
-        None => words,
-    })
-}
-
-/// Agents whose sweeps have no time in common with those of an agent before them.
-fn apart(agents: &[AgentTimes]) -> Vec<String> {
-    let spans = agents.iter().filter_map(|times| {
-        let sweeps = stamps(times.sweeps());
-        Some((&times.agent, [*sweeps.first()?, *sweeps.last()?]))
-    });
-    let spans: Vec<_> = spans.collect();
-    let of = |index: usize| {
-        let (other, span) = spans[index];
-        let mut before = spans[..index].iter();
-        let (one, words) = before.find_map(|(one, own)| {
-            let words = no_common_time(*own, span, &format!("those of `{one}`"))?;
-            Some((one, words))
-        })?;
-        Some(format!(
-            "`{one}` and `{other}` have no time in common: the sweeps of `{other}` are apart, {words}; move stamps and log times of one \
-             of them when the log is written"
-        ))
-    };
-    (0..spans.len()).filter_map(of).collect()
-}
-
-/// Sweeps that are missing: in the middle of each agent's, and, where all have a time in common, at their beginning and end.
-fn gaps(agents: &[AgentTimes], with_ends: bool) -> Vec<String> {
-    let mut gaps = Gaps::default();
-    for times in agents {
-        let agent = Name::from(times.agent.as_str());
-        let sweeps = stamps(times.sweeps()).into_iter().map(|stamp| (stamp, true));
-        let streams = [Stream::Pose, Stream::PoseTruth].into_iter();
-        let poses = streams
-            .flat_map(|stream| times.stamps(stream))
-            .map(|stamp| (stamp, false));
-        let mut all: Vec<(Nanos, bool)> = sweeps.chain(poses).collect();
-        all.sort_unstable();
-        for (stamp, is_sweep) in all {
-            match is_sweep {
-                true => gaps.sweep(&agent, stamp),
-                false => gaps.pose(&agent, stamp),
-            }
-        }
-    }
-    let found = match with_ends {
-        true => gaps.end(None),
-        false => gaps.middle(),
-    };
-    let [note, remedy] = SWEEPS_MISSING;
-    let of_agent = |times: &AgentTimes| {
-        let own: Vec<_> = found.iter().filter(|(agent, _)| **agent == *times.agent).collect();
-        let (_, first) = own.first()?;
-        let lost: u64 = own.iter().map(|(_, missing)| missing.sweeps).sum();
-        let all = lost + times.sweeps().len() as u64;
-        let agent = &times.agent;
-        Some(format!("`{agent}`: {lost} of {all} {note} ({}); {remedy}", first.place))
-    };
-    // Where some sweeps are of another clock, that is said already.
-    let known = agents.iter().filter(|times| times.off_sweeps() == 0);
-    known.filter_map(of_agent).collect()
-}
-
-/// Those that are the same as none of the others, both rising.
-fn unmatched(stamps: &[Nanos], others: &[Nanos]) -> Vec<Nanos> {
-    let is_lost = |stamp: &Nanos| others.is_empty() || nearest(others, *stamp) > SAME_STAMP;
-    stamps.iter().copied().filter(is_lost).collect()
-}
-
-/// How far the nearest of rising stamps lies, ns.
-fn nearest(stamps: &[Nanos], stamp: Nanos) -> Nanos {
-    let next = stamps.partition_point(|other| *other < stamp);
-    let around = &stamps[next.saturating_sub(1)..stamps.len().min(next + 1)];
-    around
-        .iter()
-        .map(|other| (other - stamp).abs())
-        .min()
-        .unwrap_or(Nanos::MAX)
-}
-
-fn median_gap(stamps: &[Nanos]) -> Nanos {
-    let mut gaps: Vec<Nanos> = stamps.array_windows().map(|[one, next]| next - one).collect();
-    gaps.sort_unstable();
-    gaps.get(gaps.len() / 2).copied().unwrap_or(0)
 }
 
 #[cfg(test)]

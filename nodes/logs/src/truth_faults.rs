@@ -1,13 +1,18 @@
 //! Truth whose tracks do not say which objects of two agents are one, or that has objects twice, elsewhere or not at all.
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::fmt;
+mod finding;
+mod pair;
+
+use std::collections::BTreeMap;
 
 use nalgebra::{Isometry3, Point2, Point3};
-use realo_schemas::geometry::is_plausible;
+use realo_schemas::geometry::{PoseTrack, is_plausible};
 use realo_schemas::{Box3, Nanos};
 
 use crate::{Log, LogError, Stream, pose_track};
+use finding::finding;
+pub use finding::{TruthFault, TruthFinding};
+use pair::Pair;
 
 /// Truths further apart in time are not compared, ns.
 const TOGETHER: Nanos = 200_000_000;
@@ -33,84 +38,6 @@ const BESIDE: f64 = 30.0;
 const GAP: Nanos = 1_000_000_000;
 /// Of more objects than one in so many a fault is reported: labels are made by people.
 const ONE_IN: usize = 50;
-
-/// What is wrong with ground truth.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub enum TruthFault {
-    /// A track of both agents is of objects that lie more than 5 m apart, in the median so many m.
-    Apart(f64),
-    /// Parked objects are at other places by one agent than by the other, in the median so many m apart.
-    Shifted(f64),
-    /// An object that both agents have is of two tracks, or of none.
-    Split,
-    /// A track is of several objects of one message.
-    Doubled,
-    /// An object is there twice, under two tracks.
-    Twice,
-    /// The first agent's truth lacks objects ahead of it that the second one's has.
-    Lacking,
-}
-
-/// A fault in the ground truth of one agent or two.
-#[derive(Clone, Debug, PartialEq)]
-pub struct TruthFinding {
-    /// The agent, or both.
-    pub agents: Vec<String>,
-    /// What is wrong.
-    pub fault: TruthFault,
-    /// How often it was found.
-    pub count: usize,
-    /// Of how many positions of objects.
-    pub of: usize,
-}
-
-impl fmt::Display for TruthFinding {
-    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        let TruthFinding { agents, count, of, .. } = self;
-        let agents: Vec<String> = agents.iter().map(|agent| format!("`{agent}`")).collect();
-        if self.fault == TruthFault::Lacking {
-            let [own, other] = [0, 1].map(|index| agents.get(index).map(String::as_str).unwrap_or_default());
-            return write!(
-                f,
-                "{count} of {of} objects that the truth of {other} has up to {AHEAD} m ahead of {own} are not in the truth of {own}: it \
-                 must have all objects around {own}, those too that it does not see"
-            );
-        }
-        let agents = agents.join(" and ");
-        match self.fault {
-            TruthFault::Twice => {
-                return write!(
-                    f,
-                    "{count} of {of} objects in the truth of {agents} lie at the place of another one of their class: write each object once"
-                );
-            }
-            TruthFault::Shifted(median) => {
-                return write!(
-                    f,
-                    "{count} of {of} positions at which {agents} both have a parked object lie more than {MAX_OFFSET_M} m apart (median \
-                     {median:.1} m): {}",
-                    TRUTH_SHIFTED[1]
-                );
-            }
-            TruthFault::Apart(median) => write!(
-                f,
-                "tracks of {agents} name different objects: of {of} positions of tracks that both have, {count} lie more than {APART} m \
-                 apart (median {median:.1} m)"
-            ),
-            TruthFault::Split => write!(
-                f,
-                "{count} of {of} objects that {agents} both have are of two tracks or of none, so that points of one agent do not count \
-                 for the object of the other"
-            ),
-            TruthFault::Doubled => write!(
-                f,
-                "{count} of {of} objects in the truth of {agents} have the track of another object of the same message"
-            ),
-            TruthFault::Lacking => Ok(()),
-        }?;
-        f.write_str("; give an object the same track in the truth of all agents, and no other object that track")
-    }
-}
 
 /// What is said of parked objects that two agents have at different places, after how many of how many: what happened, and what to
 /// try.
@@ -172,22 +99,37 @@ impl Movement {
     }
 }
 
-/// What two agents' truths have in common.
-#[derive(Default)]
-struct Pair {
-    /// By track: how far apart both say that it is, m.
-    shared: BTreeMap<u64, Vec<f64>>,
-    positions: usize,
-    split: usize,
-    /// Of each of the two: objects ahead of it that the other's truth has and its own has not, and all that the other's has there.
-    lacking: [[usize; 2]; 2],
-}
-
 /// What is wrong with ground truth that has points, which are joined by tracks.
 ///
 /// # Errors
 /// A log that cannot be read.
 pub fn truth_faults(log: &Log) -> Result<Vec<TruthFinding>, LogError> {
+    let agents = agents_with_truth(log)?;
+    if agents.len() < 2 {
+        return Ok(Vec::new());
+    }
+    let wanted: Vec<(&str, Stream)> = agents.iter().map(|(agent, _)| (*agent, Stream::GroundTruth)).collect();
+    let mut reader = log.read_all(&wanted)?;
+    let mut truths = Truths {
+        agents: agents.iter().map(|_| AgentTruth::default()).collect(),
+        pairs: BTreeMap::new(),
+    };
+    while !truths.are_enough()
+        && let Some(entry) = reader.next()?
+    {
+        let Some(index) = agents.iter().position(|(agent, _)| **agent == *entry.agent) else {
+            continue;
+        };
+        if let (Some(map_from_body), Ok(boxes)) = (agents[index].1.at(entry.stamp()), entry.boxes()) {
+            truths.add(index, entry.stamp(), &map_from_body, boxes.0);
+        }
+    }
+    let names: Vec<&str> = agents.iter().map(|(agent, _)| *agent).collect();
+    Ok(truths.findings(log, &names))
+}
+
+/// Agents whose truth counts points, each with where it was.
+fn agents_with_truth(log: &Log) -> Result<Vec<(&str, PoseTrack)>, LogError> {
     let mut agents = Vec::new();
     for agent in &log.info().agents {
         let streams = [Stream::PoseTruth, Stream::Pose];
@@ -198,25 +140,36 @@ pub fn truth_faults(log: &Log) -> Result<Vec<TruthFinding>, LogError> {
             agents.push((agent.name.as_str(), pose_track(log, &agent.name, poses, GAP)?));
         }
     }
-    if agents.len() < 2 {
-        return Ok(Vec::new());
+    Ok(agents)
+}
+
+/// What the truth of one agent is like.
+#[derive(Default)]
+struct AgentTruth {
+    newest: Option<Truth>,
+    doubled: usize,
+    twice: usize,
+    all: usize,
+    movement: Movement,
+}
+
+/// The truth of all agents, as far as it has been read.
+struct Truths {
+    agents: Vec<AgentTruth>,
+    pairs: BTreeMap<[usize; 2], Pair>,
+}
+
+impl Truths {
+    /// Whether more would show nothing else.
+    fn are_enough(&self) -> bool {
+        let count = self.agents.len();
+        self.pairs.len() == count * (count - 1) / 2 && self.pairs.values().all(|pair| pair.positions >= ENOUGH)
     }
-    let wanted: Vec<(&str, Stream)> = agents.iter().map(|(agent, _)| (*agent, Stream::GroundTruth)).collect();
-    let mut reader = log.read_all(&wanted)?;
-    let mut newest: Vec<Option<Truth>> = agents.iter().map(|_| None).collect();
-    let (mut doubled, mut twice, mut all) = (vec![0; agents.len()], vec![0; agents.len()], vec![0; agents.len()]);
-    let mut movements: Vec<Movement> = agents.iter().map(|_| Movement::default()).collect();
-    let mut pairs: BTreeMap<[usize; 2], Pair> = BTreeMap::new();
-    let of_all = agents.len() * (agents.len() - 1) / 2;
-    while let Some(entry) = reader.next()? {
-        let Some(index) = agents.iter().position(|(agent, _)| **agent == *entry.agent) else {
-            continue;
-        };
-        let (Some(map_from_body), Ok(boxes)) = (agents[index].1.at(entry.stamp()), entry.boxes()) else {
-            continue;
-        };
-        doubled[index] += repeated(&boxes.0);
-        all[index] += boxes.0.len();
+
+    fn add(&mut self, index: usize, stamp: Nanos, map_from_body: &Isometry3<f64>, boxes: Vec<Box3>) {
+        let agent = &mut self.agents[index];
+        agent.doubled += repeated(&boxes);
+        agent.all += boxes.len();
         let placed = |object: Box3| {
             let place = map_from_body * Point3::from(object.center);
             Placed {
@@ -226,40 +179,51 @@ pub fn truth_faults(log: &Log) -> Result<Vec<TruthFinding>, LogError> {
                 height: place.z,
             }
         };
-        let objects: Vec<Placed> = boxes.0.into_iter().filter(is_plausible).map(placed).collect();
-        twice[index] += at_one_place(&objects);
-        movements[index].add(&objects);
+        let objects: Vec<Placed> = boxes.into_iter().filter(is_plausible).map(placed).collect();
+        agent.twice += at_one_place(&objects);
+        agent.movement.add(&objects);
         let own = Truth {
-            stamp: entry.stamp(),
+            stamp,
             body_from_map: map_from_body.inverse(),
             objects,
         };
-        for (other, known) in newest.iter().enumerate().filter(|(other, _)| *other != index) {
+        self.compare(index, &own);
+        self.agents[index].newest = Some(own);
+    }
+
+    /// Compares an agent's truth with what others had at nearly the same time.
+    fn compare(&mut self, index: usize, own: &Truth) {
+        let others = self.agents.iter().enumerate().filter(|(other, _)| *other != index);
+        for (other, known) in others {
             let near = |known: &&Truth| known.stamp.abs_diff(own.stamp) <= TOGETHER.unsigned_abs();
-            if let Some(known) = known.as_ref().filter(near) {
-                let pair = pairs.entry([index.min(other), index.max(other)]).or_default();
+            if let Some(known) = known.newest.as_ref().filter(near) {
+                let pair = self.pairs.entry([index.min(other), index.max(other)]).or_default();
                 pair.compare(&own.objects, &known.objects);
-                let (first, second) = if index < other { (&own, known) } else { (known, &own) };
+                let (first, second) = if index < other { (own, known) } else { (known, own) };
                 for (of, (own, other)) in pair.lacking.iter_mut().zip([(first, second), (second, first)]) {
                     let [lacking, all] = own.lacks(&other.objects);
                     (of[0], of[1]) = (of[0] + lacking, of[1] + all);
                 }
             }
         }
-        newest[index] = Some(own);
-        if pairs.len() == of_all && pairs.values().all(|pair| pair.positions >= ENOUGH) {
-            break;
+    }
+
+    fn findings(&self, log: &Log, names: &[&str]) -> Vec<TruthFinding> {
+        let mut faults = Vec::new();
+        for (agent, name) in self.agents.iter().zip(names) {
+            let found = [(TruthFault::Doubled, agent.doubled), (TruthFault::Twice, agent.twice)];
+            let of_agent = found.map(|(fault, count)| finding(vec![name.to_string()], fault, count, agent.all));
+            faults.extend(of_agent.into_iter().flatten());
         }
+        for (pair, known) in &self.pairs {
+            faults.extend(self.findings_of_pair(log, names, *pair, known));
+        }
+        faults
     }
-    let name = |index: &usize| agents[*index].0.to_string();
-    let mut faults = Vec::new();
-    for (index, of) in all.into_iter().enumerate() {
-        let found = [(TruthFault::Doubled, doubled[index]), (TruthFault::Twice, twice[index])];
-        let of_agent = found.map(|(fault, count)| finding(vec![name(&index)], fault, count, of));
-        faults.extend(of_agent.into_iter().flatten());
-    }
-    for (pair, known) in pairs {
-        let agents: Vec<String> = pair.iter().map(name).collect();
+
+    fn findings_of_pair(&self, log: &Log, names: &[&str], pair: [usize; 2], known: &Pair) -> Vec<TruthFinding> {
+        let agents: Vec<String> = pair.iter().map(|index| names[*index].to_string()).collect();
+        let mut faults = Vec::new();
         let (apart, median) = known.apart();
         faults.extend(finding(
             agents.clone(),
@@ -267,7 +231,7 @@ pub fn truth_faults(log: &Log) -> Result<Vec<TruthFinding>, LogError> {
             apart,
             known.positions,
         ));
-        let is_parked = |track| pair.iter().all(|index| movements[*index].is_parked(track));
+        let is_parked = |track| pair.iter().all(|index| self.agents[*index].movement.is_parked(track));
         if let Some((median, shifted, of)) = known.shifted(is_parked) {
             faults.extend(finding(agents.clone(), TruthFault::Shifted(median), shifted, of));
         }
@@ -281,17 +245,8 @@ pub fn truth_faults(log: &Log) -> Result<Vec<TruthFinding>, LogError> {
                 faults.extend(finding(agents, TruthFault::Lacking, count, of));
             }
         }
+        faults
     }
-    Ok(faults)
-}
-
-fn finding(agents: Vec<String>, fault: TruthFault, count: usize, of: usize) -> Option<TruthFinding> {
-    (count * ONE_IN > of).then_some(TruthFinding {
-        agents,
-        fault,
-        count,
-        of,
-    })
 }
 
 /// Whether an agent's truth says how many points it has on objects, by its first message.
@@ -326,86 +281,6 @@ fn at_one_place(objects: &[Placed]) -> usize {
         })
     });
     twice.count()
-}
-
-/// The upper median; 0 if empty.
-fn median(mut of: Vec<f64>) -> f64 {
-    of.sort_by(f64::total_cmp);
-    of.get(of.len() / 2).copied().unwrap_or(0.0)
-}
-
-impl Pair {
-    /// Takes what two agents have at about one time.
-    fn compare(&mut self, own: &[Placed], others: &[Placed]) {
-        let tracks = |objects: &[Placed]| {
-            objects
-                .iter()
-                .filter_map(|object| object.track)
-                .collect::<BTreeSet<u64>>()
-        };
-        let both: BTreeSet<u64> = &tracks(own) & &tracks(others);
-        let place = |objects: &[Placed], track: u64| {
-            let known = objects.iter().find(|object| object.track == Some(track));
-            known.map(|object| object.place)
-        };
-        for track in &both {
-            if let (Some(one), Some(other)) = (place(own, *track), place(others, *track)) {
-                let far = (one - other).norm();
-                if far.is_finite() {
-                    self.shared.entry(*track).or_default().push(far);
-                    self.positions += 1;
-                }
-            }
-        }
-        let alone = |object: &&Placed| object.track.is_none_or(|track| !both.contains(&track));
-        let (own, others): (Vec<&Placed>, Vec<&Placed>) = (
-            own.iter().filter(alone).collect(),
-            others.iter().filter(alone).collect(),
-        );
-        let mutual = own.iter().filter(|one| {
-            nearest(one, &others)
-                .is_some_and(|other| nearest(other, &own).is_some_and(|back| std::ptr::eq(back, **one)))
-        });
-        self.split += mutual.count();
-    }
-
-    /// Positions of tracks that are of different objects, more than 5 m apart, and the median of these distances, m. A track is if
-    /// most of its positions are apart.
-    fn apart(&self) -> (usize, f64) {
-        let mut apart = Vec::new();
-        for distances in self.shared.values() {
-            let far = distances.iter().copied().filter(|far| *far > APART);
-            let far: Vec<f64> = far.collect();
-            if 2 * far.len() > distances.len() {
-                apart.extend(far);
-            }
-        }
-        (apart.len(), median(apart))
-    }
-
-    /// The median offset of parked objects, m, the number of positions above [`MAX_OFFSET_M`], and of all positions. `None` if the
-    /// median is within it or fewer than two tracks are parked. Tracks above [`APART`] are of different objects and left out.
-    fn shifted(&self, is_parked: impl Fn(u64) -> bool) -> Option<(f64, usize, usize)> {
-        let known = self
-            .shared
-            .iter()
-            .filter(|(track, far)| far.len() >= MIN_POSITIONS && is_parked(**track));
-        let medians = known.map(|(_, far)| (median(far.clone()), far));
-        let of_one: Vec<(f64, &Vec<f64>)> = medians.filter(|(median, _)| *median <= APART).collect();
-        let middle = median(of_one.iter().map(|(median, _)| *median).collect());
-        let all = || of_one.iter().flat_map(|(_, far)| far.iter());
-        let shifted = all().filter(|far| **far > MAX_OFFSET_M).count();
-        (of_one.len() > 1 && middle > MAX_OFFSET_M).then(|| (middle, shifted, all().count()))
-    }
-}
-
-/// The nearest of the same class, if that is at the same place.
-fn nearest<'a>(of: &Placed, among: &[&'a Placed]) -> Option<&'a Placed> {
-    let far = |other: &Placed| (other.place - of.place).norm();
-    let alike = among
-        .iter()
-        .filter(|other| other.class == of.class && far(other) <= SAME_PLACE);
-    alike.min_by(|one, other| far(one).total_cmp(&far(other))).copied()
 }
 
 #[cfg(test)]

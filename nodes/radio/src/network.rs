@@ -4,11 +4,12 @@
 //! and so connections, of its own at the port behind that of everything else: what stands in its queues, and its closing, concern
 //! nobody else.
 
-use std::collections::BTreeMap;
-use std::sync::mpsc::{Receiver, SyncSender, TrySendError, sync_channel};
+mod shared;
+mod turns;
+
+use std::sync::mpsc::{SyncSender, TrySendError, sync_channel};
 use std::sync::{Arc, Mutex, MutexGuard};
 use std::thread::JoinHandle;
-use std::time::Duration;
 
 use bytes::Bytes;
 use realo_operator::Waker;
@@ -19,11 +20,13 @@ use zenoh::qos::{CongestionControl, Priority};
 use zenoh::sample::{Sample, SampleKind};
 use zenoh::{Session, Wait};
 
-use crate::clock::{steady, wall, wall_error};
+use crate::clock::steady;
 use crate::protocol::Offer;
 use crate::refusal::Refusals;
 use crate::session::{NetworkError, Place, open, zenoh_error};
-use crate::station::{Event, Moment, Outgoing, Passed, Report, Station, Topic};
+use crate::station::{Event, Outgoing, Report, Station, Topic};
+use shared::Shared;
+use turns::Loop;
 
 /// What has come in and the station has not seen yet; more is lost, as on the way.
 const WAITING: usize = 4096;
@@ -48,83 +51,6 @@ enum Heard {
     Went(Name),
     Bytes(Name, Topic, Bytes),
     Offer(Offer),
-}
-
-/// What the graph's calls and the thread share.
-#[derive(Default)]
-struct Shared {
-    /// A moment at which the graph's time was known.
-    clock: Option<(Nanos, Nanos)>,
-    events: Vec<Event>,
-    /// Bytes of the messages among the events.
-    event_bytes: usize,
-    reports: Vec<Report>,
-    refused: Refusals,
-    /// Messages that came while too many waited.
-    overrun: u64,
-    /// What has come in and the station has not seen yet, by the name in which it came: frames and bytes.
-    waiting: BTreeMap<Name, (usize, usize)>,
-    /// Bytes of all that waits so.
-    waiting_bytes: usize,
-    /// Nothing will be offered any more.
-    is_over: bool,
-}
-
-impl Shared {
-    /// Whether there is room for what came in somebody's name, which waits then.
-    fn admits(&mut self, from: &Name, bytes: usize) -> bool {
-        let (frames, own) = self.waiting.get(from).copied().unwrap_or_default();
-        let has_room = self.waiting_bytes + bytes <= WAITING_BYTES;
-        let has_share = own + bytes <= WAITING_BYTES / SHARE && frames < WAITING / SHARE;
-        if has_room && has_share {
-            self.waiting.insert(from.clone(), (frames + 1, own + bytes));
-            self.waiting_bytes += bytes;
-        } else {
-            self.overrun += 1;
-        }
-        has_room && has_share
-    }
-
-    /// What waited is heard, or does not wait any more.
-    fn leaves(&mut self, from: &Name, bytes: usize) {
-        if let Some((frames, own)) = self.waiting.get_mut(from) {
-            (*frames, *own) = (*frames - 1, *own - bytes);
-            self.waiting_bytes -= bytes;
-            if *frames == 0 {
-                self.waiting.remove(from);
-            }
-        }
-    }
-
-    /// Events wait for the graph, which may stand still.
-    fn keep(&mut self, events: Vec<Event>) {
-        let bytes = |event: &Event| match event {
-            Event::Arrived(_, message, _) => message.bytes.len(),
-            Event::PassedOver(..) | Event::Books(..) => 0,
-        };
-        self.event_bytes += events.iter().map(bytes).sum::<usize>();
-        self.events.extend(events);
-        let mut oldest = self.events.iter_mut();
-        while self.event_bytes > EVENT_BYTES
-            && let Some(event) = oldest.next()
-        {
-            self.event_bytes -= bytes(event);
-            if let Event::Arrived(from, message, _) = event {
-                *event = Event::PassedOver(from.clone(), Passed::from(&*message));
-            }
-        }
-        let surplus = self.events.len().saturating_sub(EVENTS);
-        for event in self.events.drain(..surplus) {
-            self.event_bytes -= bytes(&event);
-            self.overrun += 1;
-        }
-    }
-
-    /// What waited for the graph.
-    fn take_events(&mut self) -> Vec<Event> {
-        self.event_bytes = 0;
-        std::mem::take(&mut self.events)
-    }
 }
 
 /// An agent on its network.
@@ -332,110 +258,6 @@ impl Posts {
             .congestion_control(CongestionControl::Drop)
             .express(true)
             .wait();
-    }
-}
-
-/// The thread.
-struct Loop {
-    station: Station,
-    posts: Posts,
-    hears: Receiver<Heard>,
-    shared: Arc<Mutex<Shared>>,
-    waker: Waker,
-    /// When what is known of peers is reported again though nothing came of them.
-    report_at: Nanos,
-    /// What the user says that the wall clock is off by at most.
-    clock_error: Option<Nanos>,
-    /// The same, or what the kernel said last.
-    wall_error: Option<Nanos>,
-}
-
-impl Loop {
-    fn run(mut self) {
-        while !lock(&self.shared).is_over {
-            self.turn(LOOK);
-        }
-        // What was offered before the end is still to be heard, and what goes out to arrive.
-        let until = steady() + LINGER;
-        while steady() < until && (self.turn(0) || self.station.held() > 0) {}
-        let now = self.now();
-        self.station.close(now);
-        self.send();
-        let last = self.station.end();
-        self.pass(last);
-        self.report();
-    }
-
-    /// Sends and listens once, for so long at most; whether something was heard.
-    fn turn(&mut self, longest: Nanos) -> bool {
-        self.send();
-        let now = self.now();
-        let events = self.station.take_events(now);
-        self.pass(events);
-        if now.steady >= self.report_at {
-            self.wall_error = self.clock_error.or_else(wall_error);
-            self.report();
-            self.report_at = now.steady + LOOK;
-        }
-        let wakes_at = self.station.wakes_at().unwrap_or(Nanos::MAX);
-        let wait = wakes_at.saturating_sub(now.steady).clamp(0, longest);
-        let Ok(first) = self.hears.recv_timeout(Duration::from_nanos(wait as u64)) else {
-            return false;
-        };
-        self.hear(first);
-        for _ in 1..AT_A_TIME {
-            let Ok(next) = self.hears.try_recv() else { break };
-            self.hear(next);
-        }
-        true
-    }
-
-    fn hear(&mut self, heard: Heard) {
-        let now = self.now();
-        match heard {
-            Heard::Came(name) => self.station.up(&name, now),
-            Heard::Went(name) => self.station.down(&name),
-            Heard::Bytes(from, topic, bytes) => {
-                lock(&self.shared).leaves(&from, bytes.len());
-                self.station.take(&from, topic, &bytes, now);
-            }
-            Heard::Offer(offer) => self.station.offer(&offer),
-        }
-    }
-
-    fn send(&mut self) {
-        loop {
-            let now = self.now();
-            let Some(outgoing) = self.station.next(now) else { return };
-            self.posts.send(outgoing);
-        }
-    }
-
-    /// Gives events to the graph.
-    fn pass(&mut self, events: Vec<Event>) {
-        if events.is_empty() {
-            return;
-        }
-        self.report();
-        lock(&self.shared).keep(events);
-        self.waker.wake();
-    }
-
-    fn report(&self) {
-        let reports = self.station.reports(self.now());
-        let mut shared = lock(&self.shared);
-        (shared.reports, shared.refused) = (reports, self.station.refused().clone());
-    }
-
-    fn now(&self) -> Moment {
-        let steady = steady();
-        let clock = lock(&self.shared).clock;
-        Moment {
-            steady,
-            log: clock.map(|(then, log)| log + (steady - then)),
-            wall: wall(),
-            wall_error: self.wall_error,
-        }
     }
 }
 

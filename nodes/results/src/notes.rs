@@ -47,86 +47,128 @@ pub(crate) fn unscored(result: &RunResult) -> Vec<String> {
         .iter()
         .flat_map(|accuracy| accuracy.sorted.counts.values());
     let counts: Vec<Counts> = counts.filter_map(|by_iou| by_iou.values().next().copied()).collect();
-    let (objects, detections): (u64, u64) = counts.iter().fold((0, 0), |(objects, detections), counts| {
-        (
-            objects + counts.total,
-            detections + counts.true_positives + counts.false_positives,
-        )
-    });
-    let protocol = result.protocol.as_deref().unwrap_or_default();
+    let objects = counts.iter().map(|counts| counts.total).sum();
+    let detections = counts
+        .iter()
+        .map(|counts| counts.true_positives + counts.false_positives)
+        .sum();
     let egos: Vec<String> = result.egos.iter().map(|ego| plain(&file::shown(ego))).collect();
     let whose = match egos.is_empty() {
         true => String::new(),
         false => format!("{}: ", listed(&egos).trim_end_matches(':')),
     };
-    let of = |[what, producer]: [&str; 2], dropped: &Option<Dropped>, scored: u64, is_named: bool| {
-        let Some(dropped) = dropped else { return Vec::new() };
-        let strange: u64 = dropped.classes.values().sum();
-        let all = scored + strange + dropped.invalid + dropped.outside + dropped.own_body + dropped.few_points;
-        let mostly = |n: u64| n > 0 && 2 * n >= all;
-        let line = |n: u64, why: String| {
-            let [n, all] = [n, all].map(grouped);
-            format!("{n} of {all} {what} were not scored, because {why}")
+    let truths = (
+        ["objects of the ground truth", "the program that wrote the log"],
+        &result.dropped_truths,
+        objects,
+        names_invalid_truth(result),
+    );
+    let boxes = (
+        ["detections", "the stage that makes the final boxes"],
+        &result.dropped_detections,
+        detections,
+        false,
+    );
+    let mut notes = Vec::new();
+    for ([what, producer], dropped, scored, is_named) in [truths, boxes] {
+        let Some(dropped) = dropped else { continue };
+        let unscored = Unscored {
+            what,
+            producer,
+            protocol: result.protocol.as_deref().unwrap_or_default(),
+            whose: &whose,
+            dropped,
+            scored,
         };
+        notes.extend(unscored.notes(is_named, result.log_faults() > 0));
+    }
+    notes
+}
+
+/// Objects or detections of which some were not scored.
+struct Unscored<'a> {
+    what: &'static str,
+    /// Who can mend their numbers.
+    producer: &'static str,
+    protocol: &'a str,
+    /// The egos, as a sentence begins with them.
+    whose: &'a str,
+    dropped: &'a Dropped,
+    scored: u64,
+}
+
+impl Unscored<'_> {
+    /// Why they were not; `is_named`: invalid ones have been named elsewhere; `is_faulty`: so have faults of the log.
+    fn notes(&self, is_named: bool, is_faulty: bool) -> Vec<String> {
+        let dropped = self.dropped;
+        let mostly = |n: u64| n > 0 && 2 * n >= self.all();
         let mut said = Vec::new();
-        if strange > 0 {
-            let mut classes: Vec<(&String, &u64)> = dropped.classes.iter().collect();
-            classes.sort_by_key(|(_, count)| Reverse(**count));
-            let classes: Vec<String> = classes
-                .iter()
-                .map(|(class, count)| format!("`{}` ({})", plain(&file::shown(class)), grouped(**count)))
-                .collect();
-            let classes = listed(&classes);
-            let why = format!(
-                "protocol `{protocol}` has no class for {}; a protocol of your own may name them (docs/reference/protocols.md)",
-                classes.trim_end_matches(':')
-            );
-            said.push(line(strange, why));
+        if self.strange() > 0 {
+            said.push(self.line(self.strange(), &self.classes()));
         }
         if dropped.invalid > 0 && !is_named {
-            let why = format!("no object can have such numbers; {PLAUSIBLE_BOX}: mend {producer}");
-            said.push(whose.clone() + &line(dropped.invalid, why));
+            let why = format!(
+                "no object can have such numbers; {PLAUSIBLE_BOX}: mend {}",
+                self.producer
+            );
+            said.push(self.whose.to_string() + &self.line(dropped.invalid, &why));
         }
         if mostly(dropped.own_body) {
             let why = "they are on the ego's own body; look whether its `footprint` in the log is its outline in metres, and whether \
                        boxes are in the body frame";
-            said.push(whose.clone() + &line(dropped.own_body, why.into()));
+            said.push(self.whose.to_string() + &self.line(dropped.own_body, why));
         }
         if mostly(dropped.outside) {
             let why = format!(
-                "they are outside the range of protocol `{protocol}`; look whether boxes are in the body frame of their agent"
+                "they are outside the range of protocol `{}`; look whether boxes are in the body frame of their agent",
+                self.protocol
             );
-            said.push(whose.clone() + &line(dropped.outside, why));
+            said.push(self.whose.to_string() + &self.line(dropped.outside, &why));
         }
         // Far objects have few points in every log; many of them do not.
         if mostly(dropped.few_points) {
-            let faults = match result.log_faults() {
-                0 => "",
-                _ => "the faults of the log named above may be why; else ",
+            let faults = match is_faulty {
+                false => "",
+                true => "the faults of the log named above may be why; else ",
             };
             let why = format!(
-                "the agents together have too few points on them (`min_points` of protocol `{protocol}`); {faults}look whether the log \
-                 has the points of all agents, and whether these give an object one track"
+                "the agents together have too few points on them (`min_points` of protocol `{}`); {faults}look whether the log \
+                 has the points of all agents, and whether these give an object one track",
+                self.protocol
             );
-            said.push(line(dropped.few_points, why));
+            said.push(self.line(dropped.few_points, &why));
         }
         said
-    };
-    [
-        of(
-            ["objects of the ground truth", "the program that wrote the log"],
-            &result.dropped_truths,
-            objects,
-            names_invalid_truth(result),
-        ),
-        of(
-            ["detections", "the stage that makes the final boxes"],
-            &result.dropped_detections,
-            detections,
-            false,
-        ),
-    ]
-    .concat()
+    }
+
+    fn strange(&self) -> u64 {
+        self.dropped.classes.values().sum()
+    }
+
+    fn all(&self) -> u64 {
+        let dropped = self.dropped;
+        self.scored + self.strange() + dropped.invalid + dropped.outside + dropped.own_body + dropped.few_points
+    }
+
+    fn line(&self, n: u64, why: &str) -> String {
+        let [n, all] = [n, self.all()].map(grouped);
+        format!("{n} of {all} {} were not scored, because {why}", self.what)
+    }
+
+    /// Which classes the protocol does not know, most frequent first.
+    fn classes(&self) -> String {
+        let mut classes: Vec<(&String, &u64)> = self.dropped.classes.iter().collect();
+        classes.sort_by_key(|(_, count)| Reverse(**count));
+        let classes: Vec<String> = classes
+            .iter()
+            .map(|(class, count)| format!("`{}` ({})", plain(&file::shown(class)), grouped(**count)))
+            .collect();
+        format!(
+            "protocol `{}` has no class for {}; a protocol of your own may name them (docs/reference/protocols.md)",
+            self.protocol,
+            listed(&classes).trim_end_matches(':')
+        )
+    }
 }
 
 /// Whether the player counted objects of the truth that no object can be: their note is that counter's.

@@ -167,24 +167,7 @@ impl Tree {
             0 | 1 => *node = Raw(draw.pick(SCALARS).into()),
             2 | 3 => *node = Text(draw.pick(words).into()),
             4 => *node = other,
-            5 => {
-                let deep = if draw.chance(50) {
-                    2000
-                } else {
-                    draw.pick(&[1, 2, 3, 60, 127, 200])
-                };
-                let kind = draw.below(4);
-                let mut inner = std::mem::replace(node, Alias(0));
-                for _ in 0..deep {
-                    inner = match kind {
-                        0 => List(vec![inner]),
-                        1 => Map(vec![(Text("a".into()), inner)]),
-                        2 => Map(vec![(inner, Text("a".into()))]),
-                        _ => Tagged(Box::new(inner)),
-                    };
-                }
-                *node = inner;
-            }
+            5 => node.nest(draw),
             6 => {
                 let name = draw.below(3);
                 *node = Named(name, Box::new(node.clone()));
@@ -192,15 +175,7 @@ impl Tree {
                     *self.any(draw) = Alias(name);
                 }
             }
-            7 => {
-                // Lists of lists: as many items as the product of their lengths.
-                let width = draw.pick(&[2, 3, 10, 40]);
-                let mut laughs = vec![Named(0, Box::new(other))];
-                for k in 0..draw.pick(&[2, 5, 30]) {
-                    laughs.push(Named(k + 1, Box::new(List(vec![Alias(k); width]))));
-                }
-                *node = List(laughs);
-            }
+            7 => *node = laughs(other, draw),
             8 => {
                 let long = if draw.chance(50) {
                     100_000
@@ -209,41 +184,75 @@ impl Tree {
                 };
                 *node = Text("x".repeat(long));
             }
-            // Fewer, more or other entries.
-            _ => match node {
-                List(list) if !list.is_empty() => {
-                    let at = draw.below(list.len());
-                    match draw.below(4) {
-                        0 => drop(list.remove(at)),
-                        1 => list.insert(at, other),
-                        2 => list.swap(0, at),
-                        _ => (0..copies).for_each(|_| list.push(list[at].clone())),
-                    }
-                }
-                Map(map) if !map.is_empty() => {
-                    let at = draw.below(map.len());
-                    let (key, value) = map[at].clone();
-                    match draw.below(5) {
-                        0 => drop(map.remove(at)),
-                        1 => map[at].1 = other,
-                        2 => map[at].0 = Text(draw.pick(words).into()),
-                        3 => map.push((key, other)),
-                        _ => (0..copies).for_each(|k| map.push((Text(format!("k{k}")), value.clone()))),
-                    }
-                }
-                Text(text) => {
-                    let end = text
-                        .char_indices()
-                        .map(|(at, _)| at)
-                        .nth(draw.below(text.len()))
-                        .unwrap_or(0);
-                    text.truncate(end);
-                    text.push_str(draw.pick(words));
-                }
-                other => *other = Raw(draw.pick(SCALARS).into()),
-            },
+            _ => node.change_entries(other, copies, draw, words),
         }
     }
+
+    /// Puts it deep into lists, maps or tags.
+    fn nest(&mut self, draw: &mut Draw) {
+        let deep = if draw.chance(50) {
+            2000
+        } else {
+            draw.pick(&[1, 2, 3, 60, 127, 200])
+        };
+        let kind = draw.below(4);
+        let mut inner = std::mem::replace(self, Alias(0));
+        for _ in 0..deep {
+            inner = match kind {
+                0 => List(vec![inner]),
+                1 => Map(vec![(Text("a".into()), inner)]),
+                2 => Map(vec![(inner, Text("a".into()))]),
+                _ => Tagged(Box::new(inner)),
+            };
+        }
+        *self = inner;
+    }
+
+    /// Makes fewer, more or other entries of it.
+    fn change_entries(&mut self, other: Tree, copies: usize, draw: &mut Draw, words: &[&str]) {
+        match self {
+            List(list) if !list.is_empty() => {
+                let at = draw.below(list.len());
+                match draw.below(4) {
+                    0 => drop(list.remove(at)),
+                    1 => list.insert(at, other),
+                    2 => list.swap(0, at),
+                    _ => (0..copies).for_each(|_| list.push(list[at].clone())),
+                }
+            }
+            Map(map) if !map.is_empty() => {
+                let at = draw.below(map.len());
+                let (key, value) = map[at].clone();
+                match draw.below(5) {
+                    0 => drop(map.remove(at)),
+                    1 => map[at].1 = other,
+                    2 => map[at].0 = Text(draw.pick(words).into()),
+                    3 => map.push((key, other)),
+                    _ => (0..copies).for_each(|k| map.push((Text(format!("k{k}")), value.clone()))),
+                }
+            }
+            Text(text) => {
+                let end = text
+                    .char_indices()
+                    .map(|(at, _)| at)
+                    .nth(draw.below(text.len()))
+                    .unwrap_or(0);
+                text.truncate(end);
+                text.push_str(draw.pick(words));
+            }
+            other => *other = Raw(draw.pick(SCALARS).into()),
+        }
+    }
+}
+
+/// Lists of lists: as many items as the product of their lengths.
+fn laughs(item: Tree, draw: &mut Draw) -> Tree {
+    let width = draw.pick(&[2, 3, 10, 40]);
+    let mut laughs = vec![Named(0, Box::new(item))];
+    for k in 0..draw.pick(&[2, 5, 30]) {
+        laughs.push(Named(k + 1, Box::new(List(vec![Alias(k); width]))));
+    }
+    List(laughs)
 }
 
 /// The text in double quotes.

@@ -110,6 +110,7 @@ mod tests {
     use super::*;
 
     const TELLS: &str = "LINKEMU_TELLS_THE_TIME";
+    const THIS_TEST: &str = "clock::tests::a_program_reads_a_clock_that_is_set_while_it_runs";
     /// What reports the times may be held up by.
     const HELD_UP: f64 = 10.0;
 
@@ -117,26 +118,26 @@ mod tests {
         SystemTime::now().duration_since(UNIX_EPOCH).unwrap()
     }
 
-    /// The program of the test below: for each line that it reads, the wall clock and the steady one, s.
-    #[test]
-    fn prints_the_time() {
-        if std::env::var_os(TELLS).is_none() {
-            return;
-        }
+    /// Writes the wall clock and the steady one, s, for each line that it reads.
+    fn tell_the_time() {
         let begun = Instant::now();
         for _ in io::stdin().lock().lines() {
             eprintln!("{} {}", now().as_secs_f64(), begun.elapsed().as_secs_f64());
         }
     }
 
+    /// Starts itself as the program that reads the clock.
     #[test]
     fn a_program_reads_a_clock_that_is_set_while_it_runs() {
+        if std::env::var_os(TELLS).is_some() {
+            return tell_the_time();
+        }
         if LIBRARY.is_empty() {
-            return;
+            return skipped::skip("a 64-bit Linux with glibc, for which the library of clocks is built");
         }
         let clock = WallClock::new().unwrap();
         let mut command = Command::new(std::env::current_exe().unwrap());
-        command.args(["--exact", "clock::tests::prints_the_time", "--nocapture"]);
+        command.args(["--exact", THIS_TEST, "--nocapture"]);
         clock.give(&mut command);
         command.env(TELLS, "").stdin(Stdio::piped()).stdout(Stdio::null());
         let mut child = command.stderr(Stdio::piped()).spawn().unwrap();

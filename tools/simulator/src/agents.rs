@@ -1,17 +1,21 @@
 //! The agents: what carries a sensor, where it is, when it measures.
 
+mod carriers;
+mod sway;
+
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
-use realo_schemas::{AgentState, Name, Nanos, PoseStatus, from_seconds, to_seconds};
+use realo_schemas::{AgentState, Name, Nanos, PoseStatus, to_seconds};
 
-use crate::bodies::Class;
-use crate::options::{EPOCH, Error, Options, Phase, SWEEP_PERIOD, agent_of};
-use crate::path::{Course, Pose2, State};
-use crate::place::{Scenery, VergeKind};
+use crate::options::{EPOCH, Error, Options, SWEEP_PERIOD, agent_of};
+use crate::path::{Pose2, State};
+use crate::place::Scenery;
 use crate::random::Stream;
 use crate::sensor::{Mount, Sensor};
 use crate::traffic::{Traffic, User};
+use carriers::{Carrier, cars, late_phase, phases, stands};
+use sway::Sway;
 
 /// Height of the vehicles' sensors over the ground, m.
 const VEHICLE_SENSOR: f64 = 1.9;
@@ -242,42 +246,6 @@ impl Agent {
     }
 }
 
-/// A vehicle on its springs; the figures are modelling choices: usual cars dive by 1 to 1.5° at 3 m/s², and roll by as
-/// much in bends of 3 m/s².
-#[derive(Clone, Debug)]
-struct Sway {
-    /// Frequency in Hz and phase of each wave, two of pitch, two of roll.
-    waves: [[f64; 2]; 4],
-}
-
-impl Sway {
-    /// Slope for an acceleration of 1 m/s², along and across.
-    const DIVE: f64 = 0.006;
-    const ROLL: f64 = 0.007;
-    /// Slopes of the waves at speed: the body on its springs, and the wheels' shaking.
-    const WAVES: [f64; 2] = [0.0016, 0.000_6];
-
-    fn new(draws: &mut Stream) -> Self {
-        let mut wave = |low, high| [draws.between(low, high), draws.between(0.0, std::f64::consts::TAU)];
-        Sway {
-            waves: [wave(1.0, 1.6), wave(9.0, 13.0), wave(1.2, 1.9), wave(9.0, 13.0)],
-        }
-    }
-
-    /// Slopes along and across, nose and left side up; accelerations ahead and to the left.
-    fn at(&self, t: f64, speed: f64, ahead: f64, left: f64) -> (f64, f64) {
-        let rough = (speed * 0.1).clamp(0.0, 1.0);
-        let wave = |k: usize| {
-            let [frequency, phase] = self.waves[k];
-            rough * Self::WAVES[k % 2] * libm::sin(std::f64::consts::TAU * frequency * t + phase)
-        };
-        // Braking lifts the rear; in a bend to the left the body leans to the right, so that its left side rises.
-        let pitch = Self::DIVE * ahead.clamp(-6.0, 4.0) + wave(0) + wave(1);
-        let roll = Self::ROLL * left.clamp(-5.0, 5.0) + wave(2) + wave(3);
-        (pitch, roll)
-    }
-}
-
 impl BodyState {
     /// The state as a message says it, exact.
     pub fn to_agent_state(self, place: &Scenery, map_offset: [f64; 2]) -> AgentState {
@@ -304,100 +272,6 @@ pub(crate) fn rotation(roll: f64, pitch: f64, yaw: f64) -> UnitQuaternion<f64> {
         UnitQuaternion::new_unchecked(Quaternion::new(cos, sin * axis[0], sin * axis[1], sin * axis[2]))
     };
     half(yaw, [0.0, 0.0, 1.0]) * half(pitch, [0.0, 1.0, 0.0]) * half(roll, [1.0, 0.0, 0.0])
-}
-
-/// What carries an agent: a road user, or a pole at a pose and height of the ground.
-#[derive(Clone, Copy)]
-enum Carrier {
-    Car(usize),
-    Stand((Pose2, f64)),
-}
-
-/// Road users that are cav1, cav2, …, at most `count`: the two that the traffic chose, then cars that stay for the whole
-/// log, those that drive before those that are parked, nearest to the first one in the log's middle.
-fn cars(traffic: &Traffic, seconds: f64, count: usize) -> Vec<usize> {
-    let mut cars: Vec<usize> = traffic.cavs.to_vec();
-    if count <= cars.len() {
-        return cars;
-    }
-    let place = |user: &User| user.course.at(0.5 * seconds).map(|state| state.pose);
-    let first = place(&traffic.users[cars[0]]);
-    let mut others: Vec<(bool, f64, usize)> = Vec::new();
-    for (index, user) in traffic.users.iter().enumerate() {
-        let stays = [-0.4, seconds + 0.4].iter().all(|t| user.course.at(*t).is_some());
-        let (Some(here), Some(first)) = (place(user), first) else {
-            continue;
-        };
-        if user.class == Class::Car && stays && !cars.contains(&index) {
-            let (dx, dy) = (here.x - first.x, here.y - first.y);
-            others.push((matches!(user.course, Course::Fixed(_)), dx * dx + dy * dy, index));
-        }
-    }
-    others.sort_by(|a, b| a.0.cmp(&b.0).then(a.1.total_cmp(&b.1)).then(a.2.cmp(&b.2)));
-    cars.extend(others.into_iter().map(|(.., index)| index));
-    cars.truncate(count);
-    cars
-}
-
-/// Where rsu1, rsu2, … stand, at most `count`: the two of the place, then beside the roads within 150 m of the first, each
-/// as far from all before it as can be, looking along the road towards the first.
-fn stands(place: &Scenery, count: usize) -> Vec<(Pose2, f64)> {
-    const STEP: f64 = 5.0;
-    const AROUND: f64 = 150.0;
-    let mut stands = vec![place.roadside(false), place.roadside(true)];
-    let first = stands[0].0;
-    let square = |a: Pose2, b: Pose2| (a.x - b.x) * (a.x - b.x) + (a.y - b.y) * (a.y - b.y);
-    let mut free: Vec<Pose2> = Vec::new();
-    for verge in place.verges.iter().filter(|verge| verge.kind != VergeKind::Kerb) {
-        let spots = (verge.length() / STEP) as usize;
-        free.extend((0..=spots).map(|k| verge.pose(k as f64 * STEP, 0.2)));
-    }
-    free.retain(|pose| square(*pose, first) < AROUND * AROUND);
-    while stands.len() < count {
-        let lonely = |pose: &Pose2| {
-            stands
-                .iter()
-                .map(|(other, _)| square(*pose, *other))
-                .fold(f64::MAX, f64::min)
-        };
-        let Some(best) = free.iter().max_by(|a, b| lonely(a).total_cmp(&lonely(b))).copied() else {
-            break;
-        };
-        if lonely(&best) < STEP * STEP {
-            break;
-        }
-        let (sin, cos) = libm::sincos(best.heading);
-        let away = (first.x - best.x) * cos + (first.y - best.y) * sin < 0.0;
-        let heading = best.heading + if away { std::f64::consts::PI } else { 0.0 };
-        stands.push((Pose2 { heading, ..best }, place.walk_height(best.x, best.y)));
-    }
-    stands
-}
-
-/// Start of the first sweep of an agent beyond the first four; when all spread, anywhere in the period.
-fn late_phase(options: &Options, stream: usize) -> Nanos {
-    let mut draws = Stream::new(options.seed, "phases", stream as u64);
-    let within = match options.phase {
-        Phase::Locked => 0.000_9,
-        Phase::Spread => 0.1,
-    };
-    from_seconds(draws.between(0.0, within))
-}
-
-/// Start of the first sweep after [`EPOCH`] of cav1, cav2, rsu1 and rsu2, ns.
-fn phases(options: &Options) -> [Nanos; 4] {
-    let mut draws = Stream::new(options.seed, "phases", 0);
-    match options.phase {
-        Phase::Locked => [(); 4].map(|()| from_seconds(draws.between(0.0, 0.000_9))),
-        Phase::Spread => {
-            // Slots of 25 ms, each used within 8 ms: at least 17 ms apart, over the end of the period as well.
-            let mut slots = [0.0, 0.025, 0.05, 0.075];
-            for i in (1..4).rev() {
-                slots.swap(i, draws.below(i + 1));
-            }
-            slots.map(|slot| from_seconds(slot + draws.between(0.0, 0.008)))
-        }
-    }
 }
 
 /// Seconds from [`EPOCH`] to a time.

@@ -1,11 +1,18 @@
 //! What can be asked of a simulation, and what is refused.
 
+mod error;
+mod pose_noise;
+mod scenario;
+
 use std::sync::Arc;
 
 use realo_schemas::Nanos;
 
-use crate::random::Stream;
 use crate::sensor::Sensor;
+pub use error::Error;
+use error::require;
+pub use pose_noise::PoseNoise;
+pub use scenario::Scenario;
 
 /// Log time at which every simulation starts: 2026-01-01T00:00:00Z.
 pub const EPOCH: Nanos = 1_767_225_600_000_000_000;
@@ -68,99 +75,6 @@ impl Weather {
             false => 0.0,
         };
         rain + self.visibility_m.map_or(0.0, |visibility| libm::log(20.0) / visibility)
-    }
-}
-
-/// Which place is built.
-#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Hash)]
-pub enum Scenario {
-    /// Two straight roads that cross squarely under traffic lights, between houses.
-    #[default]
-    Intersection,
-    /// A straight road with a signalised crossing for pedestrians, between houses.
-    Corridor,
-    /// Two bent roads that cross at a slant, with lights or without, in the open.
-    Junction,
-    /// A road that ends at another, at a slant.
-    Tee,
-    /// Three or four roads that meet in a ring.
-    Roundabout,
-    /// A winding road with entries.
-    Curve,
-    /// Narrow streets between gardens, cars parked on both sides.
-    Residential,
-    /// Three lanes each way at up to 100 km/h, in a bend, with an entry.
-    Motorway,
-    /// A car park with its street.
-    CarPark,
-    /// A boulevard with a planted median.
-    Avenue,
-    /// A winding road over open, sloping land, without kerbs.
-    Rural,
-    /// A shopping street: many walkers, vans at the kerb.
-    Market,
-    /// One of all these, as the place's number says.
-    Mixed,
-}
-
-impl Scenario {
-    /// All that are places of their own.
-    pub const PLACES: [Scenario; 12] = [
-        Scenario::Intersection,
-        Scenario::Corridor,
-        Scenario::Junction,
-        Scenario::Tee,
-        Scenario::Roundabout,
-        Scenario::Curve,
-        Scenario::Residential,
-        Scenario::Motorway,
-        Scenario::CarPark,
-        Scenario::Avenue,
-        Scenario::Rural,
-        Scenario::Market,
-    ];
-
-    /// The places whose roads run at any angle: all but the two on a grid.
-    pub const NETWORKS: [Scenario; 10] = {
-        let [_, _, networks @ ..] = Self::PLACES;
-        networks
-    };
-
-    /// Its name, as it is asked for.
-    pub fn name(self) -> &'static str {
-        match self {
-            Scenario::Intersection => "intersection",
-            Scenario::Corridor => "corridor",
-            Scenario::Junction => "junction",
-            Scenario::Tee => "tee",
-            Scenario::Roundabout => "roundabout",
-            Scenario::Curve => "curve",
-            Scenario::Residential => "residential",
-            Scenario::Motorway => "motorway",
-            Scenario::CarPark => "car_park",
-            Scenario::Avenue => "avenue",
-            Scenario::Rural => "rural",
-            Scenario::Market => "market",
-            Scenario::Mixed => "mixed",
-        }
-    }
-
-    /// The scenario of a name.
-    ///
-    /// # Errors
-    /// [`Error::UnknownScenario`] lists the names.
-    pub fn from_name(name: &str) -> Result<Self, Error> {
-        let mut all = Self::PLACES.into_iter().chain([Scenario::Mixed]);
-        all.find(|scenario| scenario.name() == name)
-            .ok_or_else(|| Error::UnknownScenario { found: name.into() })
-    }
-
-    /// The place that is built for a place's number: what `mixed` draws, else itself.
-    pub fn resolve(self, place: u64) -> Self {
-        match self {
-            Scenario::Mixed => Self::PLACES[Stream::new(place, "scenario", 0).below(Self::PLACES.len())],
-            own => own,
-        }
     }
 }
 
@@ -263,190 +177,6 @@ impl Default for Options {
             weather: Weather::default(),
             rounded_bodies: false,
         }
-    }
-}
-
-/// The error model `gnss-ins-rtk-like` of the poses that agents believe.
-///
-/// A vehicle's error is a first-order Gauss-Markov walk (bias) plus white noise at each pose. A roadside unit was
-/// surveyed once: one draw of the bias, no white noise. Covariances are the sums of both variances.
-#[derive(Clone, Copy, Debug, PartialEq)]
-pub struct PoseNoise {
-    /// Standard deviation of the bias (east, north, up), m. RTK receivers: 0.015, 0.015, 0.03.
-    pub position_bias_m: [f64; 3],
-    /// Time in which the bias of the position loses 63 % of itself, s (a modelling choice: 60).
-    pub position_correlation_s: f64,
-    /// White noise of the position on each axis, m (a modelling choice: 0.005).
-    pub position_white_m: f64,
-    /// Standard deviation of the heading's bias, degrees. Two antennas 2 m apart: 0.08.
-    pub heading_bias_deg: f64,
-    /// Standard deviation of the bias of roll and pitch, degrees (a modelling choice: 0.02).
-    pub tilt_bias_deg: f64,
-    /// Time in which the biases of the angles lose 63 % of themselves, s (a modelling choice: 30).
-    pub angle_correlation_s: f64,
-    /// White noise of each angle, degrees (a modelling choice: 0.01).
-    pub angle_white_deg: f64,
-    /// White noise of the velocity on each axis, m/s. CPT7: 0.03.
-    pub velocity_white_m_s: f64,
-    /// White noise of the angular rate on each axis, degrees/s (a modelling choice: 0.05).
-    pub rate_white_deg_s: f64,
-}
-
-impl PoseNoise {
-    /// The model's name, for a log's metadata.
-    pub const NAME: &'static str = "gnss-ins-rtk-like";
-
-    /// Poses without error.
-    pub fn none() -> Self {
-        PoseNoise {
-            position_bias_m: [0.0; 3],
-            position_correlation_s: 60.0,
-            position_white_m: 0.0,
-            heading_bias_deg: 0.0,
-            tilt_bias_deg: 0.0,
-            angle_correlation_s: 30.0,
-            angle_white_deg: 0.0,
-            velocity_white_m_s: 0.0,
-            rate_white_deg_s: 0.0,
-        }
-    }
-
-    fn check(&self) -> Result<(), Error> {
-        let [x, y, z] = self.position_bias_m;
-        let deviations = [
-            ("position_bias_m", x),
-            ("position_bias_m", y),
-            ("position_bias_m", z),
-            ("position_white_m", self.position_white_m),
-            ("heading_bias_deg", self.heading_bias_deg),
-            ("tilt_bias_deg", self.tilt_bias_deg),
-            ("angle_white_deg", self.angle_white_deg),
-            ("velocity_white_m_s", self.velocity_white_m_s),
-            ("rate_white_deg_s", self.rate_white_deg_s),
-        ];
-        for (field, value) in deviations {
-            require(
-                value >= 0.0 && value.is_finite(),
-                field,
-                value,
-                "a finite number, 0 or more",
-            )?;
-        }
-        for (field, value) in [
-            ("position_correlation_s", self.position_correlation_s),
-            ("angle_correlation_s", self.angle_correlation_s),
-        ] {
-            require(
-                value > 0.0 && value.is_finite(),
-                field,
-                value,
-                "a finite number greater than 0",
-            )?;
-        }
-        Ok(())
-    }
-}
-
-impl Default for PoseNoise {
-    fn default() -> Self {
-        PoseNoise {
-            position_bias_m: [0.015, 0.015, 0.03],
-            position_correlation_s: 60.0,
-            position_white_m: 0.005,
-            heading_bias_deg: 0.08,
-            tilt_bias_deg: 0.02,
-            angle_correlation_s: 30.0,
-            angle_white_deg: 0.01,
-            velocity_white_m_s: 0.03,
-            rate_white_deg_s: 0.05,
-        }
-    }
-}
-
-/// Options that no simulation can meet.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum Error {
-    /// A number out of its range.
-    #[error("simulation option `{field}`: expected {expected}, found {found}")]
-    Range {
-        /// The option.
-        field: &'static str,
-        /// What it takes.
-        expected: &'static str,
-        /// What came.
-        found: String,
-    },
-    /// An agent that no place has.
-    #[error("simulation option `agents`: no agent `{found}`; a place has cav1 to cav16 and rsu1 to rsu16")]
-    UnknownAgent {
-        /// The name that came.
-        found: String,
-    },
-    /// The same agent twice.
-    #[error("simulation option `agents`: `{found}` is named twice; name each agent once")]
-    AgentTwice {
-        /// The name that came twice.
-        found: String,
-    },
-    /// A scenario that there is not.
-    #[error(
-        "simulation option `scenario`: no scenario `{found}`; there are intersection, corridor, junction, tee, roundabout, \
-         curve, residential, motorway, car_park, avenue, rural, market and mixed"
-    )]
-    UnknownScenario {
-        /// The name that came.
-        found: String,
-    },
-    /// A place whose traffic has no two cars that can carry agents.
-    #[error(
-        "simulation options `scenario`, `seed` and `place`: in {scenario}, place {place}, no two cars of seed {seed}'s \
-         traffic are near each other; take another seed"
-    )]
-    NoRoom {
-        /// What was built.
-        scenario: &'static str,
-        /// The place's number.
-        place: u64,
-        /// The traffic's.
-        seed: u64,
-    },
-    /// Nobody records.
-    #[error("simulation option `agents`: nobody records; name at least one of cav1, cav2, rsu1 and rsu2")]
-    NoAgent,
-    /// More agents than a fleet has.
-    #[error("simulation option `agents`: expected at most {MOST_AGENTS} agents, found {found}")]
-    TooManyAgents {
-        /// How many came.
-        found: usize,
-    },
-    /// A vehicle that no car can be.
-    #[error(
-        "simulation option `agents`: no car for `{name}`: {found} cars stay for the whole log; \
-         ask for fewer vehicles, a shorter log or dense traffic"
-    )]
-    NoCar {
-        /// The agent.
-        name: String,
-        /// Cars that could be agents.
-        found: usize,
-    },
-    /// A roadside unit for which there is no place.
-    #[error("simulation option `agents`: no place beside the roads for `{name}`; ask for fewer roadside units")]
-    NoStand {
-        /// The agent.
-        name: String,
-    },
-}
-
-fn require(holds: bool, field: &'static str, value: f64, expected: &'static str) -> Result<(), Error> {
-    if holds {
-        Ok(())
-    } else {
-        Err(Error::Range {
-            field,
-            expected,
-            found: value.to_string(),
-        })
     }
 }
 

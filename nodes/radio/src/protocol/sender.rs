@@ -1,5 +1,8 @@
 //! The sending side: which message goes when, and what became of those that did not.
 
+mod schedule;
+mod silence;
+
 use std::collections::{BTreeMap, VecDeque};
 
 use bytes::Bytes;
@@ -8,7 +11,7 @@ use serde::{Deserialize, Serialize};
 
 use super::frame::{Acknowledgement, Frame, Head};
 use super::is_bulk;
-use super::transfer::{Transfer, Trial};
+use super::transfer::Transfer;
 use super::window::Window;
 
 const MS: Nanos = 1_000_000;
@@ -334,97 +337,6 @@ impl Sender {
         self.transfers[place].frame(index, waits, self.session, now)
     }
 
-    fn has_room(&self) -> bool {
-        self.flying.is_empty() || self.flying_bytes + self.window.part() <= self.window.bytes()
-    }
-
-    /// The transfer whose part goes next: the one that is over first, so that little waits for much.
-    fn next_transfer(&self) -> Option<usize> {
-        let due = self.transfers.iter().enumerate();
-        let due = due.filter(|(_, transfer)| transfer.due().is_some());
-        due.min_by_key(|(_, transfer)| transfer.remaining())
-            .map(|(place, _)| place)
-    }
-
-    /// Begins with a message of another kind beside those that cross, if all of them arrive in time nevertheless.
-    fn squeeze_in(&mut self, now: Nanos) -> bool {
-        let crossing = || self.transfers.iter().filter(|transfer| transfer.due().is_some());
-        let is_full =
-            self.transfers.len() >= TRANSFERS || self.transfers.iter().any(|transfer| transfer.trial.is_some());
-        if is_full || crossing().next().is_none() {
-            return false;
-        }
-        let Some(offer) = self.turn().and_then(|kind| self.waiting.get(&kind)) else {
-            return false;
-        };
-        if crossing().any(|transfer| transfer.offer.kind == offer.kind) {
-            return false;
-        }
-        let bytes = crossing().map(Transfer::remaining).sum::<usize>() + offer.bytes.len();
-        let born = crossing()
-            .map(|transfer| transfer.offer.born)
-            .fold(offer.born, Nanos::min);
-        let takes = self.arrival(now, bytes) - now;
-        now + takes + takes / SLACK <= born + self.settings.deadline && self.start(now)
-    }
-
-    /// Begins with a message that waits and arrives in time, or tries one; `false` if there is none.
-    fn start(&mut self, now: Nanos) -> bool {
-        while self.transfers.len() < TRANSFERS {
-            let Some(kind) = self.turn() else {
-                return false;
-            };
-            let offer = self.waiting.remove(&kind).expect("it is its turn");
-            let arrives = self.arrival(now, offer.bytes.len());
-            let must = offer.born + self.settings.deadline;
-            let trial = match arrives <= must {
-                true => None,
-                // However fast the way is.
-                false if now > must => {
-                    self.report(&offer, Outcome::Late);
-                    continue;
-                }
-                // What else crosses would be in the way of what a trial is to find out.
-                false if self.may_try(kind, now) && !self.transfers.is_empty() => {
-                    self.waiting.insert(kind, offer);
-                    return false;
-                }
-                false if self.may_try(kind, now) => {
-                    self.tried.insert(kind, now);
-                    Some(Trial {
-                        parts: self.trial_parts(self.window.part()),
-                        since: now,
-                    })
-                }
-                false => {
-                    self.report(&offer, Outcome::Late);
-                    continue;
-                }
-            };
-            self.starts += 1;
-            self.started.insert(kind, self.starts);
-            if trial.is_none() {
-                self.supersede_fallbacks(kind, offer.stamp);
-            }
-            self.transfers
-                .push_back(Transfer::new(offer, self.window.part(), trial));
-            return true;
-        }
-        false
-    }
-
-    /// The kind that begins next: of those that carry the same moment the richest, else the one that began longest ago.
-    fn turn(&self) -> Option<Kind> {
-        let crossing = |offer: &Offer| {
-            let mut richer = self.transfers.iter().map(|transfer| &transfer.offer);
-            richer.any(|other| other.stamp == offer.stamp && other.kind < offer.kind)
-        };
-        let waiting = self.waiting.values().filter(|offer| !crossing(offer));
-        let longest_ago = waiting.min_by_key(|offer| self.started.get(&offer.kind))?;
-        let same = self.waiting.values().filter(|offer| offer.stamp == longest_ago.stamp);
-        same.map(|offer| offer.kind).min()
-    }
-
     fn supersede_fallbacks(&mut self, kind: Kind, stamp: Nanos) {
         let fallback = self
             .waiting
@@ -433,117 +345,6 @@ impl Sender {
         fallback
             .iter()
             .for_each(|offer| self.report(offer, Outcome::Superseded));
-    }
-
-    /// Whether a kind that does not fit may be tried again.
-    fn may_try(&self, kind: Kind, now: Nanos) -> bool {
-        let last = self.tried.get(&kind);
-        last.is_none_or(|last| now - last >= self.settings.trial)
-    }
-
-    /// So many parts of so many bytes that they show more than is known, should the way carry more; the first only begins the
-    /// measurement.
-    fn trial_parts(&self, part: usize) -> u32 {
-        let rate = self.window.rate().unwrap_or(0.0);
-        let parts = (rate * TRIAL_TIME / part as f64).ceil() as u32 + 1;
-        parts.max(TRIAL_PARTS).max(TRIAL_BYTES.div_ceil(part) as u32)
-    }
-
-    /// When so many bytes more will have arrived, as far as is known.
-    fn arrival(&self, now: Nanos, bytes: usize) -> Nanos {
-        let Some(rate) = self.window.rate() else {
-            return now;
-        };
-        let takes = |bytes: usize| (bytes as f64 / rate * 1e9) as Nanos;
-        let round_trip = self.window.round_trip().unwrap_or(0);
-        // Of what is on its way as much has left the queue, or is acknowledged, as crosses in a round trip.
-        let queue = (takes(self.flying_bytes) - round_trip).max(0);
-        now.saturating_add(queue + takes(bytes)) + round_trip / 2
-    }
-
-    /// Gives up transfers that cannot arrive in time, and decides about trials.
-    fn give_up_late(&mut self, now: Nanos) {
-        for place in (0..self.transfers.len()).rev() {
-            let transfer = &self.transfers[place];
-            if transfer.due().is_some() && transfer.trial.is_some() {
-                continue;
-            }
-            let is_under_trial = transfer.trial.is_some() && !transfer.is_complete();
-            if is_under_trial && self.is_flying(transfer) {
-                continue;
-            }
-            // What has begun is not given up for a little: what waits in queues is not known any better.
-            let must = transfer.offer.born + self.settings.deadline + self.settings.queue;
-            let late = self.arrival(now, transfer.remaining()) > must;
-            let in_time = now <= transfer.offer.born + self.settings.deadline;
-            if let Some(trial) = transfer
-                .trial
-                .filter(|trial| late && in_time && self.window.grew_since(trial.since))
-            {
-                // The parts came in faster than was known: some more say how fast the way is.
-                let more = Trial {
-                    parts: trial.parts.saturating_add(self.trial_parts(transfer.part())),
-                    since: now,
-                };
-                self.transfers[place].trial = Some(more);
-            } else if transfer.remaining() > 0 && late {
-                let transfer = self.transfers.remove(place).expect("it was just there");
-                self.report(&transfer.offer, Outcome::Late);
-            } else if is_under_trial {
-                self.transfers[place].trial = None;
-            }
-        }
-    }
-
-    fn is_flying(&self, transfer: &Transfer) -> bool {
-        let offer = &transfer.offer;
-        self.flying
-            .iter()
-            .any(|part| (part.kind, part.seq) == (offer.kind, offer.seq))
-    }
-
-    /// When the oldest part on its way goes again: the last parts of a message are overtaken by none that would show their loss.
-    fn probes_at(&self) -> Option<Nanos> {
-        let waits = !self.flying.is_empty() && self.next_transfer().is_none();
-        let quiet = (2 * self.window.round_trip().unwrap_or(0) + QUIET) << self.probes.min(4);
-        waits.then(|| self.moved + quiet)
-    }
-
-    fn probe(&mut self, now: Nanos) {
-        if self.probes_at().is_none_or(|time| now < time) {
-            return;
-        }
-        if let Some(part) = self.flying.pop_front() {
-            self.flying_bytes -= part.bytes;
-            self.repeat(&part);
-            (self.moved, self.probes) = (now, self.probes + 1);
-        }
-    }
-
-    /// Takes everything for lost that is on its way, if nothing came back for too long.
-    fn give_up_silence(&mut self, now: Nanos) {
-        if self.silent_at().is_none_or(|time| now < time) {
-            return;
-        }
-        self.window.lost();
-        self.flying_bytes = 0;
-        let lost: Vec<Flying> = self.flying.drain(..).rev().collect();
-        lost.iter().for_each(|part| self.repeat(part));
-    }
-
-    /// When nothing will have come back for too long.
-    fn silent_at(&self) -> Option<Nanos> {
-        let silence = SILENCE.max(4 * self.window.round_trip().unwrap_or(0));
-        let first = self.flying.front()?;
-        Some(first.sent.max(self.heard) + silence)
-    }
-
-    fn repeat(&mut self, part: &Flying) {
-        let mut transfers = self.transfers.iter_mut();
-        let transfer = transfers.find(|transfer| (transfer.offer.kind, transfer.offer.seq) == (part.kind, part.seq));
-        if let Some(transfer) = transfer {
-            transfer.repeat(part.index);
-        }
     }
 
     fn finish(&mut self) {

@@ -3,14 +3,19 @@
 //! Neighbours of a row mostly meet the same things. A thing is tested against a few of them at once, in vectors where the
 //! processor has such, and what is decided about one is mostly decided alike about the next.
 
-use std::ops::Range;
+mod columns;
+mod receive;
+mod row;
 
 use super::table::Extent;
-use super::{LEAD, Rotation, Shot, TURN, round};
+use super::{LEAD, Shot, TURN};
 use crate::place::Scenery;
-use crate::random::{mix, normal_of, unit_of};
+use crate::random::mix;
 use crate::sensor::{Optics, Sensor};
-use crate::solid::Hit;
+pub(super) use columns::{Column, Columns};
+pub(super) use receive::Return;
+use receive::receive;
+pub(super) use row::Row;
 
 /// Rays of a row.
 const WIDTH: usize = 32;
@@ -28,180 +33,6 @@ type Across = [f64; WIDTH];
 /// What a ray met: nothing, something that is no road user, or two more than the index of a road user.
 const NOTHING: u32 = 0;
 const SOMETHING: u32 = 1;
-
-/// A column as it is when it fires.
-pub(super) struct Column {
-    pub number: usize,
-    /// Clockwise from the first column, rad.
-    pub azimuth: f64,
-    /// Seconds after the sweep's start.
-    pub fires: f64,
-    /// The sensor in the middle of the column, and its velocity.
-    pub position: [f64; 3],
-    pub velocity: [f64; 3],
-    pub place_from_sensor: Rotation,
-    pub reported_from_sensor: Rotation,
-}
-
-/// The columns of a sweep, and how they are cut into wedges: a wedge has of each beam the rays that look between two
-/// azimuths, whatever columns they belong to.
-pub(super) struct Columns {
-    pub all: Vec<Column>,
-    /// By how many columns each beam looks ahead, the smallest and the most.
-    shifts: Vec<isize>,
-    min: isize,
-    most: isize,
-    /// Azimuth from one column to the next, rad.
-    step: f64,
-    /// The columns' numbers by axis, with the first and the last repeated as far as wedges reach beyond them.
-    position: [Vec<f64>; 3],
-    velocity: [Vec<f64>; 3],
-    time: Vec<f64>,
-    azimuth: Vec<f64>,
-    rotation: [[Vec<f64>; 3]; 3],
-    height: f64,
-}
-
-impl Columns {
-    /// Columns that follow each other, each `step` radians after the one before.
-    pub fn new(shot: &Shot, all: Vec<Column>, step: f64) -> Self {
-        let beams = &shot.agent.sensor.beams;
-        let shifts: Vec<isize> = beams
-            .iter()
-            .map(|beam| (beam.azimuth / step).round() as isize)
-            .collect();
-        let (min, most) = shifts.iter().fold((0, 0), |(a, b), v| (a.min(*v), b.max(*v)));
-        let reach = most - min + WIDTH as isize;
-        let numbers = |number: &dyn Fn(&Column) -> f64| -> Vec<f64> {
-            let last = all.len() as isize - 1;
-            (-reach..all.len() as isize + reach)
-                .map(|i| number(&all[i.clamp(0, last) as usize]))
-                .collect()
-        };
-        Columns {
-            position: [0, 1, 2].map(|k| numbers(&|column| column.position[k])),
-            velocity: [0, 1, 2].map(|k| numbers(&|column| column.velocity[k])),
-            time: numbers(&|column| shot.start + column.fires),
-            azimuth: numbers(&|column| column.azimuth),
-            rotation: [0, 1, 2].map(|r| [0, 1, 2].map(|c| numbers(&|column| column.place_from_sensor[r][c]))),
-            height: shot.agent.info.sensor_height,
-            all,
-            shifts,
-            min,
-            most,
-            step,
-        }
-    }
-
-    fn reach(&self) -> usize {
-        (self.most - self.min) as usize + WIDTH
-    }
-
-    /// How many wedges there are.
-    pub fn wedges(&self) -> usize {
-        (self.all.len() + (self.most - self.min) as usize).div_ceil(WIDTH)
-    }
-
-    /// First and last bin of azimuth in each wedge, rounded outwards.
-    pub fn bins(&self, shot: &Shot) -> Vec<[i16; 2]> {
-        let bins = |wedge: usize| {
-            let first = (self.min + (wedge * WIDTH) as isize) as f64 * self.step;
-            let last = first + (WIDTH - 1) as f64 * self.step;
-            let [low, high] =
-                [first - 0.6 * self.step, last + 0.6 * self.step].map(|azimuth| shot.span.bin_of(azimuth));
-            [low - 1, high + 1]
-        };
-        (0..self.wedges()).map(bins).collect()
-    }
-
-    /// Numbers of the columns of a group of rays; `first` is the index of the row's first.
-    #[inline(always)]
-    fn lanes<'a>(&self, all: &'a [f64], first: usize, group: usize) -> &'a Lanes {
-        all[first + group * LANES..]
-            .first_chunk()
-            .expect("columns reach beyond every row")
-    }
-
-    /// Where the rays of a group of a row begin.
-    #[inline(always)]
-    pub fn origins(&self, row: &Row, group: usize) -> [Lanes; 3] {
-        let mut origins = [[0.0; LANES]; 3];
-        for (k, axis) in origins.iter_mut().enumerate() {
-            let position = self.lanes(&self.position[k], row.first, group);
-            let velocity = self.lanes(&self.velocity[k], row.first, group);
-            for (i, origin) in axis.iter_mut().enumerate() {
-                *origin = position[i] + velocity[i] * row.aside;
-            }
-        }
-        for up in &mut origins[2] {
-            *up += self.height;
-        }
-        origins
-    }
-
-    /// Where a ray begins.
-    #[inline(always)]
-    pub fn origin(&self, row: &Row, ray: usize) -> [f64; 3] {
-        let column = row.first + ray;
-        let axis = |k: usize| self.position[k][column] + self.velocity[k][column] * row.aside;
-        [axis(0), axis(1), axis(2) + self.height]
-    }
-
-    /// When the columns of a group start, s.
-    #[inline(always)]
-    pub fn times(&self, row: &Row, group: usize) -> &Lanes {
-        self.lanes(&self.time, row.first, group)
-    }
-
-    /// When the column of a ray starts, s.
-    #[inline(always)]
-    pub fn time(&self, row: &Row, ray: usize) -> f64 {
-        self.time[row.first + ray]
-    }
-}
-
-/// Rays of one beam.
-pub(super) struct Row {
-    x: Across,
-    y: Across,
-    z: Across,
-    /// How far it is to what was met, m; negative where the beam does not fire.
-    limit: Across,
-    cos: Across,
-    rho: Across,
-    /// The rays' own hashes.
-    hash: [u64; WIDTH],
-    met: [u32; WIDTH],
-    /// Bins of azimuth.
-    bins: [i16; WIDTH],
-    /// Index among the columns' numbers of the column of the first ray.
-    first: usize,
-    /// Time after the column's start, and after its middle, s.
-    pub fires: f64,
-    aside: f64,
-}
-
-/// What came back of a ray.
-#[derive(Clone, Copy)]
-pub(super) struct Return {
-    /// m; negative for nothing.
-    pub range: f64,
-    pub intensity: u8,
-    met: u32,
-}
-
-impl Return {
-    pub const NONE: Return = Return {
-        range: -1.0,
-        intensity: 0,
-        met: NOTHING,
-    };
-
-    /// Index of the road user that was met.
-    pub fn user(&self) -> Option<u32> {
-        self.met.checked_sub(SOMETHING + 1)
-    }
-}
 
 /// The rays between two azimuths.
 pub(super) struct Wedge {
@@ -377,112 +208,4 @@ impl Wedge {
         rows.flat_map(|(row, fired)| fired.map(move |ray| (row, ray)))
             .filter(|(row, ray)| row.limit(*ray) >= 0.0)
     }
-}
-
-impl Row {
-    /// The columns to which its rays belong.
-    fn columns(&self, columns: &Columns) -> Range<usize> {
-        let reach = columns.reach();
-        let index = |i: usize| i.saturating_sub(reach).min(columns.all.len());
-        index(self.first)..index(self.first + WIDTH)
-    }
-
-    /// The rays that belong to a column.
-    fn fired(&self, columns: &Columns) -> Range<usize> {
-        let fired = self.columns(columns);
-        let ray = |column: usize| (column + columns.reach()) - self.first;
-        match fired.is_empty() {
-            true => 0..0,
-            false => ray(fired.start)..ray(fired.end),
-        }
-    }
-
-    /// The rays of a group, by axis.
-    #[inline(always)]
-    pub fn rays(&self, group: usize) -> [&Lanes; 3] {
-        let (x, y, z) = (self.x.as_chunks().0, self.y.as_chunks().0, self.z.as_chunks().0);
-        [&x[group], &y[group], &z[group]]
-    }
-
-    /// How far the rays of a group may go, m.
-    #[inline(always)]
-    pub fn limits(&self, group: usize) -> &Lanes {
-        &self.limit.as_chunks().0[group]
-    }
-
-    #[inline(always)]
-    pub fn ray(&self, ray: usize) -> [f64; 3] {
-        [self.x[ray], self.y[ray], self.z[ray]]
-    }
-
-    /// How far a ray may go, m.
-    #[inline(always)]
-    pub fn limit(&self, ray: usize) -> f64 {
-        self.limit[ray]
-    }
-
-    #[inline(always)]
-    pub fn hash(&self, ray: usize) -> u64 {
-        self.hash[ray]
-    }
-
-    /// Whether a ray looks into a thing's bins.
-    #[inline(always)]
-    pub fn looks_into(&self, ray: usize, [from, to]: [i16; 2]) -> bool {
-        (from..=to).contains(&self.bins[ray])
-    }
-
-    /// Bounds of the rays' slopes, rounded outwards.
-    fn slopes(&self) -> [f32; 2] {
-        let [low, high] = self.z.iter().fold([f64::MAX, f64::MIN], |[low, high], z| {
-            [if *z < low { *z } else { low }, if *z > high { *z } else { high }]
-        });
-        // A ray's length is 1.
-        let slope = |z: f64| (z / (1.0 - z * z).max(1e-12).sqrt()) as f32;
-        let margin = |slope: f32| 1e-5 + 1e-5 * slope.abs();
-        let [low, high] = [slope(low), slope(high)];
-        [low - margin(low), high + margin(high)]
-    }
-
-    /// Takes down what a ray met, which is nearer than all before.
-    #[inline(always)]
-    pub fn meet(&mut self, ray: usize, hit: Hit, user: Option<u32>) {
-        self.limit[ray] = hit.t;
-        self.cos[ray] = hit.cos;
-        self.rho[ray] = hit.rho;
-        self.met[ray] = user.map_or(SOMETHING, |user| user + SOMETHING + 1);
-    }
-
-    /// What a ray met.
-    #[inline(always)]
-    pub fn met(&self, ray: usize) -> Option<Hit> {
-        (self.met[ray] != NOTHING).then(|| Hit {
-            t: self.limit[ray],
-            cos: self.cos[ray],
-            rho: self.rho[ray],
-        })
-    }
-}
-
-/// Range and intensity of what comes back; `None` if nothing is seen.
-#[inline]
-fn receive(optics: &Optics, hit: &Hit, hash: u64) -> Option<(f64, u8)> {
-    let ratio = optics.reference_range / hit.t;
-    let mut q = optics.strength * hit.rho * hit.cos * ratio * ratio;
-    if optics.extinction > 0.0 {
-        q *= libm::exp(-2.0 * optics.extinction * hit.t);
-    }
-    let q4 = q * q * q * q;
-    if unit_of(hash) * (q4 + 1.0) >= q4 * (1.0 - optics.unanswered) {
-        return None;
-    }
-    let scatter = (optics.noise_floor + optics.noise_slope / q.sqrt()).min(optics.noise_ceiling);
-    let range = hit.t + scatter * normal_of(mix(hash));
-    let range = round(range * optics.steps_per_metre) * optics.step;
-    if range < optics.nearest || range > optics.farthest {
-        return None;
-    }
-    // Calibrated for range: 100 stands for a white wall met squarely, more for retro-reflectors.
-    let shimmer = (hash & 0x3ff) as f64 * (0.06 / 1024.0);
-    Some((range, (100.0 * hit.rho * hit.cos * (0.97 + shimmer)).min(255.0) as u8))
 }

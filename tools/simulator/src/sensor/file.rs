@@ -1,11 +1,16 @@
 //! Sensors as files: what one may say, and what is refused.
 
+mod beams;
+mod described;
+mod error;
+
 use std::path::Path;
 use std::sync::{Arc, OnceLock};
 
-use serde::Deserialize;
-
-use super::{Beam, Mount, Optics, Scan, Sensor};
+use super::{Mount, Optics, Scan, Sensor};
+use beams::{band_beams, no_beams, table_beams};
+use described::{Checker, Description, MountText};
+pub use error::SensorError;
 
 /// Beams that look farther up or down than this, degrees, are not taken: azimuths lose their meaning there.
 const STEEPEST: f64 = 60.0;
@@ -16,39 +21,6 @@ const MOST_BEAMS: usize = 512;
 const MOST_COLUMNS: usize = 4096;
 /// Narrower fields are no sensor's, degrees.
 const NARROWEST: f64 = 10.0;
-
-/// A sensor that cannot be.
-#[derive(Clone, Debug, PartialEq, thiserror::Error)]
-pub enum SensorError {
-    /// No built-in sensor has the name.
-    #[error("no sensor `{name}`; there are {known}, or the path of a file that ends in .toml")]
-    Unknown {
-        /// The name that came.
-        name: String,
-        /// Names that there are.
-        known: String,
-    },
-    /// A file that cannot be read.
-    #[error("{path}: {reason}")]
-    Unreadable {
-        /// The file.
-        path: String,
-        /// Why.
-        reason: String,
-    },
-    /// A file that says what no sensor can be.
-    #[error("{path}: `{field}`: expected {expected}, found {found}")]
-    Field {
-        /// The file.
-        path: String,
-        /// The field.
-        field: String,
-        /// What it takes.
-        expected: String,
-        /// What came.
-        found: String,
-    },
-}
 
 /// The built-in sensors: name, description.
 const BUILT_IN: [(&str, &str); 7] = [
@@ -74,91 +46,6 @@ const TABLES: [(&str, &str); 4] = [
         include_str!("../../sensors/robosense_ruby_plus_128.csv"),
     ),
 ];
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Description {
-    model: String,
-    /// Beam table beside the file, or built in.
-    table: Option<String>,
-    #[serde(default)]
-    bands: Vec<Band>,
-    columns: usize,
-    /// Width of the field ahead; a whole turn without.
-    field_deg: Option<f64>,
-    unanswered: f64,
-    mount: MountText,
-    optics: OpticsText,
-}
-
-/// Beams at even steps.
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct Band {
-    from_deg: f64,
-    to_deg: f64,
-    step_deg: f64,
-    /// They fire in every n-th column.
-    #[serde(default = "one")]
-    every: usize,
-}
-
-fn one() -> usize {
-    1
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct MountText {
-    height_m: f64,
-    /// Positive looks down.
-    #[serde(default)]
-    pitch_deg: f64,
-    #[serde(default)]
-    roll_deg: f64,
-    /// Positive looks left.
-    #[serde(default)]
-    yaw_deg: f64,
-    #[serde(default)]
-    misalignment_deg: f64,
-}
-
-#[derive(Deserialize)]
-#[serde(deny_unknown_fields)]
-struct OpticsText {
-    reach_m: f64,
-    reach_reflectivity: f64,
-    nearest_m: f64,
-    farthest_m: f64,
-    range_step_m: f64,
-    noise_floor_m: f64,
-    noise_slope_m: f64,
-    noise_ceiling_m: f64,
-}
-
-/// Says what is wrong where.
-struct Checker<'a> {
-    path: &'a str,
-}
-
-impl Checker<'_> {
-    fn need(&self, holds: bool, field: &str, expected: &str, found: impl ToString) -> Result<(), SensorError> {
-        if holds {
-            return Ok(());
-        }
-        Err(SensorError::Field {
-            path: self.path.into(),
-            field: field.into(),
-            expected: expected.into(),
-            found: found.to_string(),
-        })
-    }
-
-    fn within(&self, field: &str, value: f64, [low, high]: [f64; 2]) -> Result<(), SensorError> {
-        let holds = (low..=high).contains(&value);
-        self.need(holds, field, &format!("a number within [{low}, {high}]"), value)
-    }
-}
 
 impl Sensor {
     /// The names of the built-in sensors.
@@ -286,11 +173,6 @@ impl Sensor {
     }
 }
 
-fn no_beams(check: &Checker, found: &str) -> SensorError {
-    let one = check.need(false, "table", "either `table` or `bands`", found);
-    one.expect_err("it does not hold")
-}
-
 fn built_in(path: &str, table: &str) -> Result<String, SensorError> {
     let found = TABLES.iter().find(|(name, _)| *name == table);
     found
@@ -359,95 +241,6 @@ fn mount(check: &Checker, text: &MountText) -> Result<Mount, SensorError> {
         yaw: text.yaw_deg.to_radians(),
         misalignment: text.misalignment_deg.to_radians(),
     })
-}
-
-fn band_beams(check: &Checker, bands: &[Band]) -> Result<Vec<Beam>, SensorError> {
-    let mut beams = Vec::new();
-    let mut last = f64::NEG_INFINITY;
-    for (index, band) in bands.iter().enumerate() {
-        let field = |name: &str| format!("bands[{index}].{name}");
-        check.within(&field("from_deg"), band.from_deg, [-STEEPEST, STEEPEST])?;
-        check.within(&field("to_deg"), band.to_deg, [-STEEPEST, STEEPEST])?;
-        check.within(&field("step_deg"), band.step_deg, [0.01, 120.0])?;
-        check.need((1..=100).contains(&band.every), &field("every"), "1 to 100", band.every)?;
-        let sorted = band.from_deg > last && band.to_deg >= band.from_deg;
-        let found = format!("{} to {} after {last}", band.from_deg, band.to_deg);
-        check.need(
-            sorted,
-            &field("from_deg"),
-            "bands that rise, one above the other",
-            found,
-        )?;
-        let count = ((band.to_deg - band.from_deg) / band.step_deg + 1e-3) as usize + 1;
-        check.need(
-            beams.len() + count <= MOST_BEAMS,
-            "bands",
-            &format!("at most {MOST_BEAMS} beams"),
-            beams.len() + count,
-        )?;
-        for k in 0..count {
-            last = band.from_deg + k as f64 * band.step_deg;
-            beams.push(Beam::new(last, 0.0, 0.0, band.every));
-        }
-    }
-    Ok(beams)
-}
-
-/// Beams of a table in CSV. Its first line names the columns: `elevation_deg`, and if they are there
-/// `azimuth_offset_deg` (clockwise) and `firing_offset_us`; others are skipped. Rows stand in the order of
-/// firing; where all fire at once, elevations rise or fall.
-fn table_beams(check: &Checker, text: &str) -> Result<Vec<Beam>, SensorError> {
-    let text = text.trim_start_matches('\u{feff}');
-    let mut lines = text.lines().filter(|line| !line.trim().is_empty());
-    let names: Vec<&str> = lines.next().unwrap_or("").split(',').map(str::trim).collect();
-    let at = |name: &str| names.iter().position(|column| *column == name);
-    let found = names.join(",");
-    check.need(
-        at("elevation_deg").is_some(),
-        "the first line",
-        "a column `elevation_deg`",
-        found,
-    )?;
-    let mut rows: Vec<[f64; 3]> = Vec::new();
-    for (number, line) in lines.enumerate() {
-        let cells: Vec<&str> = line.split(',').map(str::trim).collect();
-        let value = |name: &str, limit: f64| -> Result<f64, SensorError> {
-            let Some(column) = at(name) else { return Ok(0.0) };
-            let field = format!("line {}, {name}", number + 2);
-            let text = cells.get(column).copied().unwrap_or("");
-            let value: f64 = text.parse().unwrap_or(f64::NAN);
-            check.need(value.abs() <= limit, &field, &format!("a number within ±{limit}"), text)?;
-            Ok(value)
-        };
-        let row = [
-            value("elevation_deg", STEEPEST)?,
-            value("azimuth_offset_deg", ASIDE)?,
-            value("firing_offset_us", 1e5)?,
-        ];
-        rows.push(row);
-        check.need(
-            rows.len() <= MOST_BEAMS,
-            "rows",
-            &format!("at most {MOST_BEAMS}"),
-            rows.len(),
-        )?;
-    }
-    let fires = at("firing_offset_us").is_some();
-    let sorted = match fires {
-        true => rows.windows(2).all(|pair| pair[0][2] <= pair[1][2]) && rows.iter().all(|row| row[2] >= 0.0),
-        false => {
-            rows.windows(2).all(|pair| pair[0][0] < pair[1][0]) || rows.windows(2).all(|pair| pair[0][0] > pair[1][0])
-        }
-    };
-    let (field, expected) = match fires {
-        true => ("firing_offset_us", "times from 0 on in the order of firing"),
-        false => ("elevation_deg", "elevations that rise or fall from row to row"),
-    };
-    check.need(sorted, field, expected, "rows that are not sorted")?;
-    Ok(rows
-        .iter()
-        .map(|[elevation, azimuth, fires]| Beam::new(*elevation, *azimuth, *fires, 1))
-        .collect())
 }
 
 #[cfg(test)]

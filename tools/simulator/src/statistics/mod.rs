@@ -4,9 +4,11 @@
 //! ground is estimated from the cloud. *Background* is what stands over the ground outside all boxes, which are taken
 //! 0.3 m larger; it and the clusters are looked for in the *labelled sector* ahead of the sensor.
 
+mod cars;
 mod clusters;
 mod ground;
 mod rings;
+mod rows;
 
 use std::collections::BTreeMap;
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
@@ -14,9 +16,11 @@ use std::ops::Range;
 
 use realo_schemas::{Box3, PointCloud};
 
+use cars::into_box;
 use clusters::clusters;
 use ground::Ground;
 use rings::{Ring, column_step, rings};
+pub use rows::Row;
 
 /// The sector in which DAIR-V2X's vehicles are labelled, rad: their cameras' view.
 pub const VEHICLE_SECTOR: f64 = 118.0 * PI / 180.0;
@@ -128,28 +132,6 @@ impl Share {
 
     fn percent(self) -> Option<f64> {
         (self.all > 0).then(|| 100.0 * self.some as f64 / self.all as f64)
-    }
-}
-
-/// A figure with its name; `values` are empty where the sweeps do not tell.
-#[derive(Clone, Debug, PartialEq)]
-pub struct Row {
-    /// What it is.
-    pub name: &'static str,
-    /// The figures, in the order of the name.
-    pub values: Vec<f64>,
-    /// Digits after the point that mean something.
-    pub digits: usize,
-}
-
-impl Row {
-    /// The figures as text; `-` where there are none.
-    pub fn figures(&self) -> String {
-        let values: Vec<String> = self.values.iter().map(|v| format!("{v:.*}", self.digits)).collect();
-        match values.is_empty() {
-            true => "-".into(),
-            false => values.join(" / "),
-        }
     }
 }
 
@@ -310,189 +292,6 @@ impl Statistics {
             }
         }
     }
-
-    /// Rays that found nothing between two that met the same car's lower body.
-    fn add_bodies(&mut self, parts: &Parts) {
-        let Some(step) = column_step(&parts.rings) else { return };
-        for (number, object) in parts
-            .observed
-            .objects
-            .iter()
-            .enumerate()
-            .filter(|(_, object)| is_car(object))
-        {
-            let bin = match parts.observed.range(object) {
-                r if r < NEAR => 0,
-                r if r < MIDDLING => 1,
-                _ => continue,
-            };
-            for ring in &parts.rings {
-                let share = |i: usize| parts.observed.share(object, &parts.points[i]);
-                let on = |seen: &&rings::Seen| parts.object[seen.index as usize] == Some(number);
-                let body = |seen: &&rings::Seen| on(seen) && LOWER_BODY.contains(&share(seen.index as usize));
-                let hits: Vec<f64> = ring.points.iter().filter(body).map(|seen| seen.azimuth).collect();
-                if let [first, .., last] = hits[..]
-                    && last - first < 1.5
-                {
-                    // Whatever stands before the car answers as well: only where nothing came back was no answer.
-                    let span = ring.points.partition_point(|seen| seen.azimuth < first)
-                        ..ring.points.partition_point(|seen| seen.azimuth <= last);
-                    let gaps = ring.points[span]
-                        .windows(2)
-                        .map(|pair| (pair[1].azimuth - pair[0].azimuth) / step);
-                    self.bodies[bin].all += ((last - first) / step).round() as usize + 1;
-                    self.bodies[bin].some += gaps.map(|gap| (gap.round() as usize).saturating_sub(1)).sum::<usize>();
-                }
-            }
-        }
-    }
-
-    /// How deep in the boxes of cars those rays end that met the lower body or a window.
-    fn add_depths(&mut self, parts: &Parts) {
-        for (point, number) in parts.points.iter().zip(&parts.object) {
-            let Some(object) = number
-                .map(|number| &parts.observed.objects[number])
-                .filter(|object| is_car(object))
-            else {
-                continue;
-            };
-            let Some(depth) = depth(parts.observed, object, point) else {
-                continue;
-            };
-            let (range, share) = (parts.observed.range(object), parts.observed.share(object, point));
-            if LOWER_BODY.contains(&share) {
-                let bin = usize::from(range >= NEAR) + usize::from(range >= MIDDLING);
-                self.metal[bin].push(depth);
-            } else if WINDOWS.contains(&share) && range < NEAR {
-                self.windows.push(depth);
-            }
-        }
-    }
-
-    fn add_far_cars(&mut self, parts: &Parts) {
-        let sensor = parts.observed.sensor;
-        let background: Vec<usize> = parts.background(0.3, 3.5).collect();
-        for (number, object) in parts.observed.objects.iter().enumerate() {
-            let range = parts.observed.range(object);
-            let [x, y] = [0, 1].map(|k| object.center[k] - sensor[k]);
-            let ahead = libm::atan2(y, x).abs() < parts.observed.sector / 2.0;
-            let Some(bin) = FAR.iter().position(|far| far.contains(&range)) else {
-                continue;
-            };
-            if !is_car(object) || !ahead {
-                continue;
-            }
-            // Boxes reach a little into the ground.
-            let on_it = |i: &usize| parts.object[*i] == Some(number) && parts.above[*i] > ABOVE_GROUND;
-            let own = (0..parts.points.len()).filter(on_it).count();
-            if own < LEAST_POINTS {
-                continue;
-            }
-            let near = |i: &&usize| (parts.points[**i][0] - x).hypot(parts.points[**i][1] - y) < AROUND;
-            self.far[bin].own.push(own as f64);
-            self.far[bin].around.push(background.iter().filter(near).count() as f64);
-        }
-    }
-
-    /// The figures, in the order of the table.
-    pub fn rows(&self) -> Vec<Row> {
-        let sweeps = self.sweeps.max(1) as f64;
-        let each = |count: usize| count as f64 / sweeps;
-        let row = |name, digits, values: Vec<f64>| Row { name, values, digits };
-        let shares = |name, digits, shares: &[Share]| {
-            let values: Option<Vec<f64>> = shares.iter().map(|share| share.percent()).collect();
-            row(name, digits, values.unwrap_or_default())
-        };
-        let of_near = |count: usize| 100.0 * count as f64 / self.within_50.max(1) as f64;
-        let tilts = self
-            .squared_tilts
-            .map(|sum| libm::atan((sum / sweeps).sqrt()).to_degrees());
-        let Clusters {
-            all,
-            low,
-            lowest,
-            vehicle_like,
-            car_like,
-            strips,
-        } = self.clusters;
-        vec![
-            row("sweeps", 0, vec![self.sweeps as f64]),
-            row("points a sweep", 0, vec![each(self.points)]),
-            row("background clusters a sweep", 1, vec![each(all)]),
-            row("  top under 2.5 m / under 1 m", 1, vec![each(low), each(lowest)]),
-            row("  vehicle-like: top 0.5-2.5 m, 1-8 m long", 1, vec![each(vehicle_like)]),
-            row(
-                "  car-like: top 1-2.2 m, 1.5-6 m long, under 3 m wide",
-                1,
-                vec![each(car_like)],
-            ),
-            row(
-                "  low strips: top under 0.9 m, over 2 m long, under 1 m wide, to 30 m / beyond",
-                1,
-                strips.map(each).to_vec(),
-            ),
-            shares(
-                "background off its ring by over 0.1 m, at 0.3-1/1-2/2-3 m, %",
-                0,
-                &self.off_ring,
-            ),
-            shares("points at 0.3-3 m on labelled objects, %", 0, &[self.on_objects]),
-            row(
-                "ground (±0.25 m), of points within 50 m, %",
-                0,
-                vec![of_near(self.ground)],
-            ),
-            row(
-                "  0.25-0.5/-1/-1.5/-2/-2.5/-3/above, %",
-                0,
-                self.heights.map(of_near).to_vec(),
-            ),
-            shares("points beyond 50 m, %", 0, &[self.beyond_50]),
-            shares(
-                "directions (2°) without anything over 3 m within 60 m, %",
-                0,
-                &[self.open],
-            ),
-            shares("headings over 5°/20° off the axes, %", 1, &self.headings),
-            row("ground plane within 40 m, rms pitch/roll, degrees", 2, tilts.to_vec()),
-            shares("rays answered at -8 to -1°, %", 0, &self.answered[..1]),
-            shares("rays answered at 5 to 20°, %", 0, &self.answered[1..]),
-            shares("unanswered on lower car bodies, to 25 m, %", 1, &self.bodies[..1]),
-            shares("unanswered on lower car bodies, 25-60 m, %", 1, &self.bodies[1..]),
-            row(
-                "returns of lower car bodies, depth into the box to 25 m, quartiles, m",
-                2,
-                quartiles(&self.metal[0]),
-            ),
-            row("  25-60 m", 2, quartiles(&self.metal[1])),
-            row("  from 60 m", 2, quartiles(&self.metal[2])),
-            row(
-                "window returns, depth into the box to 25 m, quartiles, m",
-                2,
-                quartiles(&self.windows),
-            ),
-            row(
-                "own points of cars at 50-70 m, quartiles",
-                0,
-                quartiles(&self.far[0].own),
-            ),
-            row(
-                "  background 0.3-3.5 m high within 8 m of them, points, quartiles",
-                0,
-                quartiles(&self.far[0].around),
-            ),
-            row(
-                "own points of cars at 70-100 m, quartiles",
-                0,
-                quartiles(&self.far[1].own),
-            ),
-            row(
-                "  background 0.3-3.5 m high within 8 m of them, points, quartiles",
-                0,
-                quartiles(&self.far[1].around),
-            ),
-        ]
-    }
 }
 
 impl Parts<'_> {
@@ -524,13 +323,6 @@ fn quartiles(values: &[f64]) -> Vec<f64> {
         .collect()
 }
 
-/// A point relative to the sensor, in the frame of a box's centre.
-fn into_box(observed: &Observed, object: &Box3, point: &[f64; 3]) -> [f64; 3] {
-    let [x, y, z] = [0, 1, 2].map(|k| point[k] + observed.sensor[k] - object.center[k]);
-    let (sin, cos) = libm::sincos(object.yaw);
-    [x * cos + y * sin, y * cos - x * sin, z]
-}
-
 /// The first object on which a point lies.
 fn object(observed: &Observed, point: &[f64; 3]) -> Option<usize> {
     observed.objects.iter().position(|object| {
@@ -543,24 +335,6 @@ fn object(observed: &Observed, point: &[f64; 3]) -> Option<usize> {
         let inside = into_box(observed, object, point);
         (0..3).all(|k| inside[k].abs() <= half[k])
     })
-}
-
-/// How far behind the place where it enters a box a ray got, m; `None` if it passes beside the box.
-fn depth(observed: &Observed, object: &Box3, point: &[f64; 3]) -> Option<f64> {
-    let end = into_box(observed, object, point);
-    let start = into_box(observed, object, &[0.0; 3]);
-    let half = [object.length, object.width, object.height].map(|size| size / 2.0);
-    let (mut enter, mut leave) = (f64::MIN, f64::MAX);
-    for k in 0..3 {
-        let step = end[k] - start[k];
-        let (a, b) = ((-half[k] - start[k]) / step, (half[k] - start[k]) / step);
-        (enter, leave) = (enter.max(a.min(b)), leave.min(a.max(b)));
-    }
-    let length = (0..3)
-        .map(|k| (end[k] - start[k]) * (end[k] - start[k]))
-        .sum::<f64>()
-        .sqrt();
-    (enter <= leave).then_some((1.0 - enter) * length)
 }
 
 /// The cloud with only those of its rings that lie nearest to beams; `None` if all are to count, or if it has no rings.
@@ -606,6 +380,7 @@ fn thin(observed: &Observed) -> Option<PointCloud> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
     use crate::{Options, Sensor, Simulation, Sweep};
 
     fn values(statistics: &Statistics, name: &str) -> Vec<f64> {

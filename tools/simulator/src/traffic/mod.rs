@@ -1,5 +1,6 @@
 //! Everybody on the road: who there is, and where he is at any time.
 
+mod following;
 mod grid;
 mod open;
 mod walking;

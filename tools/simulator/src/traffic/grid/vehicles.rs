@@ -3,24 +3,22 @@
 //! Nobody enters the junction without a *grant*: its light is green and its way meets neither that of another grant
 //! nor a walker's crossing. A grant ends when the rear has left the junction.
 
+mod arrivals;
+mod grants;
+mod pace;
+
 use std::f64::consts::PI;
 
-use super::lights::{Light, Lights};
-use super::network::{Lane, Network, Turn, Way};
+use super::lights::Lights;
+use super::network::{Lane, Network, Way};
 use super::zones::Zone;
 use crate::bodies::Class;
 use crate::path::{Motion, Path, TICK};
 use crate::place::REACH;
 use crate::random::Stream;
 use crate::traffic::Driven;
-
-/// Seconds simulated before the log begins.
-pub(crate) const WARM_UP: f64 = 45.0;
-/// What comfort allows in braking and in curves, m/s².
-const BRAKE: f64 = 2.0;
-const ASIDE: f64 = 2.6;
-/// Hardest braking, m/s².
-const EMERGENCY: f64 = 8.0;
+use crate::traffic::following::{Driver, WARM_UP, advance};
+use arrivals::choose_way;
 
 /// Somebody crosses a part of the junction on foot.
 #[derive(Clone, Debug)]
@@ -77,6 +75,14 @@ impl Vehicle {
 
     fn rear(&self) -> f64 {
         self.at() - self.length / 2.0
+    }
+
+    fn driver(&self) -> Driver {
+        Driver {
+            v: self.v,
+            headway: self.headway,
+            accelerate: self.accelerate,
+        }
     }
 }
 
@@ -139,70 +145,6 @@ impl<'a> Traffic<'a> {
         traffic
     }
 
-    /// Mean distance from one vehicle to the next, m.
-    fn gap(&self, lane: &Lane) -> f64 {
-        if lane.cycles {
-            2.2 * self.plan.gap
-        } else {
-            self.plan.gap
-        }
-    }
-
-    /// Puts vehicles on a stretch of a lane's straight way.
-    fn fill(&mut self, lane: usize, from: f64, to: f64, gap: f64, draws: &mut Stream) {
-        let mut at = to - draws.between(0.0, gap);
-        while at > from {
-            let mut vehicle = self.vehicle(lane, -WARM_UP);
-            let straight = self.plan.network.lanes[lane].ways[0];
-            if at > self.plan.network.lanes[lane].stop {
-                vehicle.way = straight;
-                vehicle.path = self.plan.network.ways[straight].path.clone();
-                vehicle.granted = false;
-            }
-            at -= vehicle.length / 2.0;
-            vehicle.s = at;
-            vehicle.v = vehicle.desired * 0.6;
-            at -= vehicle.length / 2.0 + 9.0 + draws.exponential((gap - 15.0).max(2.0));
-            self.vehicles.push(vehicle);
-        }
-    }
-
-    fn vehicle(&mut self, lane: usize, t: f64) -> Vehicle {
-        let number = self.next_number;
-        self.next_number += 1;
-        let mut draws = Stream::new(self.plan.seed, "vehicle", number);
-        let network = self.plan.network;
-        let class = class_for(&network.lanes[lane], lane_has_middle(network, lane), &mut draws);
-        let size = class.size(&mut draws);
-        let desired = match class {
-            Class::Bicycle => draws.between(3.6, 5.6),
-            Class::Scooter => draws.between(5.5, 7.5),
-            Class::Truck | Class::Bus => draws.between(8.5, 11.5),
-            _ => draws.between(9.5, 13.5),
-        };
-        let way = choose_way(network, lane, class, &mut draws);
-        Vehicle {
-            number,
-            class,
-            length: size[0],
-            size,
-            way,
-            leg: 0.0,
-            path: network.ways[way].path.clone(),
-            s: size[0] / 2.0,
-            v: desired * 0.8,
-            desired,
-            headway: draws.between(1.0, 1.6),
-            accelerate: if class.long() { 0.9 } else { draws.between(1.2, 1.8) },
-            granted: false,
-            first_arm: network.lanes[lane].arm,
-            first: t,
-            ticks: Vec::new(),
-            gone: false,
-            draws,
-        }
-    }
-
     fn step(&mut self, t: f64) {
         self.arrive(t);
         self.review_grants(t);
@@ -210,7 +152,7 @@ impl<'a> Traffic<'a> {
         let accelerations: Vec<f64> = (0..self.vehicles.len()).map(|i| self.acceleration(i)).collect();
         for (vehicle, acceleration) in self.vehicles.iter_mut().zip(accelerations) {
             vehicle.ticks.push((vehicle.s, vehicle.v));
-            advance(vehicle, acceleration);
+            advance(&mut vehicle.s, &mut vehicle.v, acceleration);
         }
         self.leave();
     }
@@ -225,202 +167,6 @@ impl<'a> Traffic<'a> {
 
     fn stays(&self, vehicle: &Vehicle) -> bool {
         self.plan.stay.contains(&vehicle.number)
-    }
-
-    fn arrive(&mut self, t: f64) {
-        for index in 0..self.arrivals.len() {
-            if self.arrivals[index].0 > t {
-                continue;
-            }
-            let lane = &self.plan.network.lanes[index];
-            let room = |v: &Vehicle| self.way(v).lane != index || v.rear() > 16.0 + v.desired;
-            let turning = |v: &Vehicle| {
-                let way = self.way(v);
-                self.stays(v) && way.exit_arm == lane.arm && v.at() > way.path.length() - 40.0
-            };
-            if !self.vehicles.iter().all(|v| room(v) && !turning(v)) {
-                continue;
-            }
-            let vehicle = self.vehicle(index, t);
-            let pause = self.gap(lane) / vehicle.desired;
-            let (next, draws) = &mut self.arrivals[index];
-            *next = t + 1.0 + draws.exponential(pause);
-            self.vehicles.push(vehicle);
-        }
-    }
-
-    /// Takes back grants that are over, and those of vehicles that can still stop for a light that is no longer green.
-    fn review_grants(&mut self, t: f64) {
-        for i in 0..self.vehicles.len() {
-            let vehicle = &self.vehicles[i];
-            if !vehicle.granted {
-                continue;
-            }
-            let (way, lane) = (self.way(vehicle), self.lane(vehicle));
-            let to_stop = lane.stop - vehicle.front();
-            let stops = to_stop > 0.3 && vehicle.v * vehicle.v / (2.0 * 2.8) < to_stop - 0.3;
-            if vehicle.rear() > way.clear || stops && !self.open(lane, way, t) {
-                self.vehicles[i].granted = false;
-            }
-        }
-    }
-
-    fn give_grants(&mut self, t: f64) {
-        let waiting = |v: &Vehicle| !v.granted && v.front() <= self.lane(v).stop + 0.01;
-        let mut order: Vec<usize> = (0..self.vehicles.len())
-            .filter(|i| waiting(&self.vehicles[*i]))
-            .collect();
-        // The nearest of each lane asks first; at equal distance the older one.
-        order.sort_by(|a, b| {
-            let left = |i: usize| self.lane(&self.vehicles[i]).stop - self.vehicles[i].front();
-            left(*a).total_cmp(&left(*b)).then(a.cmp(b))
-        });
-        let mut asked = vec![false; self.plan.network.lanes.len()];
-        for i in order {
-            let lane = self.way(&self.vehicles[i]).lane;
-            // Nobody overtakes the first of his lane.
-            let first = !std::mem::replace(&mut asked[lane], true) || self.granted_ahead(i);
-            if first && self.may_enter(i, t) {
-                self.vehicles[i].granted = true;
-                asked[lane] = false;
-            }
-        }
-    }
-
-    /// Whether all that are ahead in the lane have their grants.
-    fn granted_ahead(&self, i: usize) -> bool {
-        let own = &self.vehicles[i];
-        let lane = self.way(own).lane;
-        self.vehicles.iter().all(|v| {
-            self.way(v).lane != lane || v.at() <= own.at() || v.granted || v.front() > self.lane(v).stop + 0.01
-        })
-    }
-
-    /// Whether the lights let somebody set out.
-    fn open(&self, lane: &Lane, way: &Way, t: f64) -> bool {
-        let axis = lane.arm % 2;
-        self.plan.lights.show(axis, t) == Light::Green || way.turn == Turn::Left && self.plan.lights.arrow(axis, t)
-    }
-
-    fn may_enter(&self, i: usize, t: f64) -> bool {
-        let own = &self.vehicles[i];
-        let (way, lane) = (self.way(own), self.lane(own));
-        let to_stop = lane.stop - own.front();
-        let horizon = own.v * own.v / (2.0 * BRAKE) + own.v * 1.2 + 8.0;
-        if to_stop > horizon || !self.open(lane, way, t) {
-            return false;
-        }
-        let taken = self.vehicles.iter().enumerate().any(|(j, other)| {
-            let theirs = self.way(other);
-            j != i && other.granted && other.way != own.way && theirs.zone.meets(&way.zone)
-        });
-        !taken && self.exit_free(i) && !self.walkers_in(way, t, time_to_clear(own, way)) && !self.must_yield(i, t)
-    }
-
-    /// Whether the exit has room, so that nobody stands in the junction.
-    fn exit_free(&self, i: usize) -> bool {
-        let own = &self.vehicles[i];
-        let way = self.way(own);
-        self.vehicles.iter().enumerate().all(|(j, other)| {
-            let theirs = self.way(other);
-            let beyond = other.rear() - theirs.clear;
-            let merges = theirs.exit == way.exit && (other.way != own.way || other.at() > own.at());
-            j == i
-                || !merges
-                || !(-30.0..own.length + 4.0).contains(&beyond)
-                || other.v > 3.0
-                || other.at() < self.lane(other).stop
-        })
-    }
-
-    fn walkers_in(&self, way: &Way, t: f64, seconds: f64) -> bool {
-        let meets = |c: &&Crossing| c.until + 0.3 > t && c.from - 0.5 < t + seconds;
-        self.plan
-            .crossings
-            .iter()
-            .filter(meets)
-            .any(|crossing| crossing.zone.meets(&way.zone))
-    }
-
-    /// Whether a left turn would cut off oncoming traffic that has green.
-    fn must_yield(&self, i: usize, t: f64) -> bool {
-        let own = &self.vehicles[i];
-        let (way, lane) = (self.way(own), self.lane(own));
-        way.turn == Turn::Left
-            && self.vehicles.iter().any(|other| {
-                let (theirs, from) = (self.way(other), self.lane(other));
-                let left = from.stop - other.front();
-                from.arm == (lane.arm + 2) % 4
-                    && theirs.turn != Turn::Left
-                    && theirs.zone.meets(&way.zone)
-                    && (0.0..40.0).contains(&left)
-                    && left < 4.5 * other.v
-                    && self.plan.lights.show(from.arm % 2, t) == Light::Green
-            })
-    }
-
-    /// The Intelligent Driver Model, towards whatever is ahead.
-    fn acceleration(&self, i: usize) -> f64 {
-        let own = &self.vehicles[i];
-        let (way, lane) = (self.way(own), self.lane(own));
-        let mut desired = own.desired;
-        for (start, radius) in own.path.arcs_from(own.s).take(3) {
-            let ahead = (start - own.s - 1.0).max(0.0);
-            desired = desired.min((ASIDE * radius + 2.0 * 1.5 * ahead).sqrt());
-        }
-        let free =
-            own.accelerate * (1.0 - (own.v / desired) * (own.v / desired) * (own.v / desired) * (own.v / desired));
-        let mut min = if own.v > desired { free.max(-BRAKE) } else { free };
-        for (j, other) in self.vehicles.iter().enumerate() {
-            if let Some(gap) = (j != i).then(|| self.gap_to(own, other)).flatten() {
-                min = min.min(follow(own, gap, other.v, 2.0));
-            }
-        }
-        let to_stop = lane.stop - own.front();
-        if !own.granted && to_stop > -0.5 {
-            min = min.min(follow(own, to_stop, 0.0, 0.8));
-        }
-        let to_loop = way.path.length() - 6.0 - own.front();
-        if self.stays(own) && to_loop > -1.0 && self.loop_taken(i) {
-            min = min.min(follow(own, to_loop, 0.0, 0.8));
-        }
-        min.clamp(-EMERGENCY, own.accelerate)
-    }
-
-    /// Bumper-to-bumper distance to somebody who is ahead on the way, m.
-    fn gap_to(&self, own: &Vehicle, other: &Vehicle) -> Option<f64> {
-        let (way, theirs) = (self.way(own), self.way(other));
-        let half = (own.length + other.length) / 2.0;
-        let same_way = own.way == other.way;
-        let behind_stop = other.rear() < self.lane(other).stop + 1.0;
-        let mut nearest = None::<f64>;
-        let mut offer = |distance: f64| {
-            if distance > 0.0 && distance < 120.0 {
-                nearest = Some(nearest.map_or(distance - half, |n| n.min(distance - half)));
-            }
-        };
-        if same_way || way.lane == theirs.lane && behind_stop {
-            offer(other.at() - own.at());
-        }
-        if way.exit == theirs.exit && !same_way && other.front() > theirs.clear - 6.0 {
-            offer(other.at() - theirs.path.length() - (own.at() - way.path.length()));
-        }
-        // Who turns round comes in by a lane again.
-        if self.stays(own) && way.exit_arm == self.plan.network.lanes[theirs.lane].arm {
-            offer(other.at() + own.path.length() - own.s);
-        }
-        nearest
-    }
-
-    /// Whether the turning loop at the end of an arm, or the lane behind it, is taken.
-    fn loop_taken(&self, i: usize) -> bool {
-        let arm = self.way(&self.vehicles[i]).exit_arm;
-        self.vehicles.iter().enumerate().any(|(j, other)| {
-            let way = self.way(other);
-            let in_loop = self.stays(other) && way.exit_arm == arm && other.at() > way.path.length() - 4.0;
-            let behind_it = self.plan.network.lanes[way.lane].arm == arm && other.rear() < 8.0;
-            j != i && (in_loop || behind_it)
-        })
     }
 
     fn leave(&mut self) {
@@ -471,75 +217,4 @@ impl<'a> Traffic<'a> {
         vehicle.granted = false;
         vehicle.path.append(&network.ways[vehicle.way].path);
     }
-}
-
-/// Whether lanes lie between this one and the road's middle.
-fn lane_has_middle(network: &Network, lane: usize) -> bool {
-    let own = &network.lanes[lane];
-    network
-        .lanes
-        .iter()
-        .any(|other| other.arm == own.arm && other.offset < own.offset)
-}
-
-fn class_for(lane: &Lane, outer: bool, draws: &mut Stream) -> Class {
-    let draw = draws.unit();
-    if lane.cycles {
-        return if draw < 0.6 { Class::Bicycle } else { Class::Scooter };
-    }
-    match draw {
-        d if d < 0.10 => Class::Van,
-        d if d < 0.13 => Class::Motorcycle,
-        d if d < 0.19 && outer => Class::Truck,
-        d if d < 0.25 && outer => Class::Bus,
-        _ => Class::Car,
-    }
-}
-
-fn choose_way(network: &Network, lane: usize, class: Class, draws: &mut Stream) -> usize {
-    let ways = &network.lanes[lane].ways;
-    let draw = draws.unit();
-    let turn = match draw {
-        d if d < 0.16 => Turn::Left,
-        d if d < 0.36 => Turn::Right,
-        _ => Turn::Straight,
-    };
-    let chosen = ways
-        .iter()
-        .find(|way| network.ways[**way].turn == turn && !class.long());
-    *chosen.unwrap_or(&ways[0])
-}
-
-/// Deceleration (or less) that following somebody asks for.
-fn follow(own: &Vehicle, gap: f64, leader_speed: f64, standstill: f64) -> f64 {
-    let gap = gap.max(0.05);
-    let closing = own.v * (own.v - leader_speed) / (2.0 * (own.accelerate * BRAKE).sqrt());
-    let wanted = standstill + (own.v * own.headway * if standstill < 1.0 { 0.3 } else { 1.0 } + closing).max(0.0);
-    let ratio = own.v / own.desired;
-    own.accelerate * (1.0 - ratio * ratio * ratio * ratio - (wanted / gap) * (wanted / gap))
-}
-
-/// Moves on by a tick; nobody rolls backwards.
-fn advance(vehicle: &mut Vehicle, acceleration: f64) {
-    let v = vehicle.v + acceleration * TICK;
-    if v >= 0.0 {
-        vehicle.s += 0.5 * (vehicle.v + v) * TICK;
-        vehicle.v = v;
-    } else {
-        vehicle.s += vehicle.v * vehicle.v / (-2.0 * acceleration);
-        vehicle.v = 0.0;
-    }
-}
-
-/// A careful guess of the time until the rear has left the junction, s.
-fn time_to_clear(own: &Vehicle, way: &Way) -> f64 {
-    let top = own.desired.min(if way.turn == Turn::Straight { 8.0 } else { 4.0 });
-    let mut left = (way.clear - own.rear()).max(0.0);
-    let (mut v, mut t) = (own.v.min(top), 0.0);
-    while left > 0.0 {
-        v = (v + 0.4).min(top);
-        left -= v * 0.5;
-        t += 0.5;
-    }
-    t + 1.5
 }

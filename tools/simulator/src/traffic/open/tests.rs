@@ -1,7 +1,12 @@
 use super::lanes::Kind;
 use super::*;
 use crate::Scenario;
+use crate::bodies::Class;
 use crate::path::State;
+use crate::path::TICK;
+use crate::path::angle_within;
+use crate::place::Scenery;
+use crate::traffic::touch;
 use crate::traffic::{Traffic, User, overlaps};
 
 /// Length of the shared simulations, s.

@@ -1,0 +1,154 @@
+//! Which two cars of the traffic record.
+
+use super::MARGIN;
+use super::standing::Standing;
+use crate::bodies::Class;
+use crate::path::{Pose2, TICK, angle_within};
+use crate::place::{Network, Scenery};
+use crate::random::Stream;
+use crate::traffic::Driven;
+
+/// Draws traffic until two of its cars make good cavs: near each other and the first roadside unit for most of the
+/// first ten seconds, come by different lanes, moving, and at an angle to many others. Returns the traffic's own seed and
+/// the cars' numbers.
+pub(super) fn choose(
+    place: &Scenery,
+    network: &Network,
+    parked: &[Standing],
+    seed: u64,
+    seconds: f64,
+    run: impl Fn(u64, f64) -> Vec<Driven>,
+) -> Option<(u64, [u64; 2])> {
+    const GOOD: f64 = 1.6;
+    const ATTEMPTS: u64 = 8;
+    let horizon = seconds.min(10.0);
+    let mut best: Option<(f64, u64, [u64; 2])> = None;
+    for attempt in 0..ATTEMPTS {
+        let traffic_seed = Stream::new(seed, "traffic", attempt).bits();
+        let driven = run(traffic_seed, horizon + MARGIN);
+        if let Some((score, numbers)) = best_pair(place, network, parked, &driven, horizon)
+            && best.is_none_or(|(min, ..)| score > min)
+        {
+            best = Some((score, traffic_seed, numbers));
+        }
+        if best.is_some_and(|(score, ..)| score >= GOOD) {
+            break;
+        }
+    }
+    best.map(|(_, traffic_seed, numbers)| (traffic_seed, numbers))
+}
+
+/// The two cars that go best together, the one that shows more first, and how well.
+fn best_pair(
+    place: &Scenery,
+    network: &Network,
+    parked: &[Standing],
+    driven: &[Driven],
+    horizon: f64,
+) -> Option<(f64, [u64; 2])> {
+    const TOGETHER: f64 = 65.0;
+    /// What it is worth if all others stand askew to a car.
+    const ASKEW: f64 = 0.5;
+    let (rsu, _) = place.roadside(false);
+    let near = network.mix.near;
+    let times: Vec<f64> = (0..=20).map(|k| horizon * f64::from(k) / 20.0).collect();
+    let track = |vehicle: &Driven| -> Option<Vec<Pose2>> {
+        let motion = &vehicle.motion;
+        // Poses are asked for a little before the first and after the last sweep.
+        motion.at(-0.3)?;
+        motion.at(horizon + MARGIN - TICK)?;
+        times.iter().map(|t| motion.at(*t).map(|state| state.pose)).collect()
+    };
+    // What moves and turns shows more of the world than what stands.
+    let worth = |poses: &[Pose2]| {
+        let steps = poses.windows(2).map(|p| {
+            let (dx, dy) = (p[1].x - p[0].x, p[1].y - p[0].y);
+            (
+                (dx * dx + dy * dy).sqrt(),
+                angle_within(p[1].heading - p[0].heading).abs(),
+            )
+        });
+        let (gone, turned) = steps.fold((0.0, 0.0), |sum, step| (sum.0 + step.0, sum.1 + step.1));
+        0.02 * (gone / horizon).min(6.0) + 0.06 * f64::min(turned, 1.5)
+    };
+    let around = Around::new(driven, parked, &times);
+    let candidates: Vec<(&Driven, Vec<Pose2>, f64)> = driven
+        .iter()
+        .filter(|vehicle| vehicle.class == Class::Car)
+        .filter_map(|vehicle| {
+            let poses = track(vehicle)?;
+            let worth = worth(&poses) + ASKEW * around.askew(&poses);
+            Some((vehicle, poses, worth))
+        })
+        .collect();
+    let within = |a: &Pose2, b: &Pose2, reach: f64| {
+        let (dx, dy) = (a.x - b.x, a.y - b.y);
+        dx * dx + dy * dy < reach * reach
+    };
+    let mut best: Option<(f64, [u64; 2])> = None;
+    for (i, (first, a, worth_a)) in candidates.iter().enumerate() {
+        for (second, b, worth_b) in &candidates[i + 1..] {
+            if first.came_by == second.came_by {
+                continue;
+            }
+            let together = (0..times.len())
+                .filter(|k| {
+                    let (p, q) = (&a[*k], &b[*k]);
+                    within(p, q, TOGETHER) && within(p, &rsu, near) && within(q, &rsu, near)
+                })
+                .count();
+            let score = together as f64 / times.len() as f64 + worth_a + worth_b;
+            if best.is_none_or(|(min, _)| score > min) {
+                let [worthier, other] = if worth_a < worth_b {
+                    [second, first]
+                } else {
+                    [first, second]
+                };
+                best = Some((score, [worthier.number, other.number]));
+            }
+        }
+    }
+    best
+}
+
+/// Where vehicles are at some of the looks at a pair of cars.
+struct Around(Vec<(usize, Vec<Pose2>)>);
+
+impl Around {
+    /// Each so many looks count.
+    const EVERY: usize = 5;
+
+    pub(super) fn new(driven: &[Driven], parked: &[Standing], times: &[f64]) -> Self {
+        let at = |look: usize| {
+            let moving = driven.iter().filter_map(|vehicle| vehicle.motion.at(times[look]));
+            let poses = moving
+                .map(|state| state.pose)
+                .chain(parked.iter().map(|standing| standing.pose));
+            (look, poses.collect())
+        };
+        Around((0..times.len()).step_by(Self::EVERY).map(at).collect())
+    }
+
+    /// Share of those near somebody whose headings are over 20° off his axes.
+    fn askew(&self, own: &[Pose2]) -> f64 {
+        const NEAR: f64 = 60.0;
+        const OFF: f64 = 20.0;
+        let (mut askew, mut all) = (0u32, 0u32);
+        for (look, others) in &self.0 {
+            let own = own[*look];
+            for other in others {
+                let (dx, dy) = (other.x - own.x, other.y - own.y);
+                let square = dx * dx + dy * dy;
+                // He himself is among them.
+                if !(0.01..NEAR * NEAR).contains(&square) {
+                    continue;
+                }
+                let quarter = std::f64::consts::FRAC_PI_2;
+                let off = (other.heading - own.heading).rem_euclid(quarter);
+                all += 1;
+                askew += u32::from(off.min(quarter - off).to_degrees() > OFF);
+            }
+        }
+        f64::from(askew) / f64::from(all.max(1))
+    }
+}

@@ -1,0 +1,71 @@
+//! The way on: which lanes a vehicle takes next.
+
+use super::vehicle::{Leg, Vehicle};
+use super::{Flow, SIGHT, SLOW};
+use crate::bodies::Class;
+use crate::traffic::open::lanes::Lane;
+
+impl<'a> Flow<'a> {
+    /// Whether a lane and some way on from it are wide and straight enough for a class.
+    pub(super) fn carries(&self, class: Class, lane: usize, passed: usize) -> bool {
+        const FARTHEST: usize = 8;
+        let tightest = match class {
+            // Bodies are rigid: their ends swing out.
+            Class::Articulated => 66.0,
+            Class::Bus => 16.0,
+            Class::Truck => 11.0,
+            _ => return true,
+        };
+        let own = self.lane(lane);
+        let on = |next: &(usize, f64)| self.carries(class, next.0, passed + 1);
+        passed < FARTHEST
+            && own.tightest > tightest
+            && own.limit >= SLOW
+            && (own.exit.is_some() || own.next.iter().any(on))
+    }
+
+    /// Chooses the way on until it reaches beyond sight.
+    pub(super) fn look_ahead(&self, vehicle: &mut Vehicle) {
+        while vehicle.path.length() < vehicle.s + SIGHT + 20.0 {
+            let last = vehicle.legs[vehicle.legs.len() - 1];
+            let lane = self.lane(last.lane);
+            let stays = self.plan.stay.contains(&vehicle.number);
+            let next = match lane.exit {
+                Some(Some(back)) if stays => Some(back),
+                Some(_) => None,
+                None => self.choose(lane, vehicle),
+            };
+            let Some(next) = next else { return };
+            let path = &self.lane(next).path;
+            let from = vehicle.path.length();
+            vehicle.path.append(path);
+            vehicle.legs.push(Leg {
+                lane: next,
+                way: [from, from + path.length()],
+                on: [0.0, path.length()],
+                leaving: None,
+            });
+        }
+    }
+
+    fn choose(&self, lane: &Lane, vehicle: &mut Vehicle) -> Option<usize> {
+        let fits = |next: &&(usize, f64)| self.carries(vehicle.class, next.0, 0);
+        let mut all: Vec<(usize, f64)> = lane.next.iter().filter(fits).copied().collect();
+        if all.is_empty() {
+            let widest = lane
+                .next
+                .iter()
+                .max_by(|a, b| self.lane(a.0).tightest.total_cmp(&self.lane(b.0).tightest));
+            all.extend(widest.copied());
+        }
+        let sum: f64 = all.iter().map(|(_, weight)| weight).sum();
+        let mut draw = vehicle.draws.unit() * sum;
+        for (next, weight) in &all {
+            draw -= weight;
+            if draw < 0.0 {
+                return Some(*next);
+            }
+        }
+        all.last().map(|(next, _)| *next)
+    }
+}
