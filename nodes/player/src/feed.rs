@@ -14,12 +14,12 @@ use realo_logs::{BEHIND_MOST, Bare, Entry, Gaps, Log, LogError, LogReader, Missi
 use realo_operator::PortId;
 use realo_schemas::{Header, Kind, Message, Name, Nanos, Payload, PointCloud, to_seconds};
 
+use crate::ORDER;
 use crate::counters::{INTENSITIES_LIMITED, STAMPS_DIFFER, SWEEPS_MISSING, TRUTH_NOT_JOINED};
 use crate::joins::{Joins, PATIENCE};
 use crate::nearest::Nearest;
 use crate::standing::{Held, STEP};
 use crate::truth::TruthJoin;
-use crate::{ORDER, Output, PlannedRun};
 use queued::Queued;
 use script::Levelling;
 pub use script::Script;
