@@ -595,8 +595,8 @@ fn what_a_node_cannot_run_with_is_found_by_validate() {
         ),
         (listen, "", "node `v2x`: arguments `listen`, `connect`"),
         (
-            listen,
-            "listen=tcp/0.0.0.0:7447,tcp/10.0.0.1:7448",
+            "agent=cav1 listen=tcp/0.0.0.0:7447",
+            "'agent=cav1 listen=tcp/0.0.0.0:7447,tcp/10.0.0.1:7448'",
             "found tcp/0.0.0.0:7447 and tcp/10.0.0.1:7448",
         ),
         (

@@ -88,7 +88,7 @@ fn a_stage_gives_way_to_another_in_a_word() {
     for (text, expected) in [
         (
             "fusion.fuse=operator nms",
-            "no node `fusion.fuse` (did you mean `fusion.fusion`?); the graph has: player, ego.sense.sync",
+            "no node `fusion.fuse` (did you mean `fusion.fusion`?); the graph has: player, others.sense.sync",
         ),
         (
             "fusion.fusion=operator nms",

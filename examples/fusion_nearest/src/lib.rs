@@ -178,6 +178,6 @@ mod tests {
     #[test]
     fn refuses_a_threshold_that_is_no_iou() {
         let error = FusionNearest::new(Settings { threshold: 1.5 }).map(|_| ()).unwrap_err();
-        assert!(error.to_string().contains("[0, 1], found 1.5"), "{error}");
+        assert!(error.to_string().contains("expected 0 to 1, found 1.5"), "{error}");
     }
 }

@@ -141,14 +141,15 @@ mod tests {
 
     #[test]
     fn a_module_of_processes_is_no_part_of_their_names() {
-        let text = "node_id: method.fusion\nrun_config: { inputs: { ego: method.ego/boxes, packets: { source: scene.v2x/to_ego } } \
-                    }\ndataflow_descriptor:\n  nodes:\n  - { id: method.fusion, args: host f.yml }\n  - { id: method.ego, args: \
-                    host e.yml }\n  - { id: scene.v2x, args: node radio }\n";
+        let text = "node_id: method.fusion\nrun_config: { inputs: { ego: method.ego/boxes, packets: { source: scene.v2x/to_ego }, \
+                    far: bank.nms/boxes } }\ndataflow_descriptor:\n  nodes:\n  - { id: method.fusion, args: host f.yml }\n  - { id: method.ego, args: \
+                    host e.yml }\n  - { id: scene.v2x, args: node radio }\n  - { id: bank.nms, args: operator nms }\n";
         let plan = Plan::read(text).unwrap();
         assert_eq!((plan.id.as_str(), plan.inputs["ego"].as_str()), ("fusion", "ego/boxes"));
+        assert_eq!(plan.inputs["packets"], "v2x/to_ego");
         assert_eq!(
-            plan.inputs["packets"], "scene.v2x/to_ego",
-            "nothing is hosted beside it"
+            plan.inputs["far"], "bank.nms/boxes",
+            "a module of single stages is part of their names"
         );
     }
 
