@@ -141,6 +141,11 @@ fn read_value(default: &Value, text: &str) -> Result<Value, String> {
 }
 
 fn read_yaml(text: &str) -> Result<Value, String> {
+    // They would become null, which means something else.
+    let number = text.trim().trim_start_matches(['+', '-']).to_ascii_lowercase();
+    if [".nan", ".inf"].contains(&number.as_str()) {
+        return Err("expected a finite number".into());
+    }
     realo_schemas::file::yaml(text)
 }
 
@@ -199,7 +204,14 @@ mod tests {
         assert!(read(&["threshold=1", "window_ms=null"]).is_ok());
         let cases = [
             ("threshold=1.01", "argument `threshold`: expected 0 to 1, found 1.01"),
-            ("threshold=.nan", "argument `threshold`: expected 0 to 1, found NaN"),
+            (
+                "threshold=.nan",
+                "argument `threshold`: `.nan` does not fit: expected a finite number",
+            ),
+            (
+                "window_ms=-.INF",
+                "argument `window_ms`: `-.INF` does not fit: expected a finite number",
+            ),
             ("window_ms=0", "argument `window_ms`: expected at least 1, found 0"),
         ];
         for (arg, expected) in cases {
