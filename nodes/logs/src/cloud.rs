@@ -191,7 +191,7 @@ impl<'a> CloudReader<'a> {
     fn strange_time(&self, field: &Field, value: f64, stamp: Nanos) -> CdrError {
         format!(
             "times of points: `{}` ({}) is {value} where the stamp is {stamp} ns; expected offsets of the stamp within a period of the \
-             sweeps (ns if integer, s if float; ms or µs are reported by a sweep's length), or times since 1970 or since the full hour by the \
+             sweeps (ns if integer, s if float; ms or µs are recognised by a sweep's length), or times since 1970 or since the full hour by the \
              stamp's clock; write int32 ns from the stamp",
             field.name,
             field.type_name()

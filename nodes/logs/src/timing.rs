@@ -177,7 +177,7 @@ fn unposed(times: &AgentTimes, stream: Stream, sweeps: &[Nanos]) -> Option<Strin
         _ => format!("at {} s {}", seconds(first), around(&poses, first)),
     };
     let whose = match stream {
-        Stream::PoseTruth => format!(" on {}, which offline runs and `--pose true` take", stream.topic(agent)),
+        Stream::PoseTruth => format!(" on {}, which offline runs take", stream.topic(agent)),
         _ => String::new(),
     };
     Some(format!(

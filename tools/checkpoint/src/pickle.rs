@@ -256,7 +256,7 @@ impl<R: Read> Machine<R> {
             }),
             _ => None,
         };
-        let storage = storage.ok_or_else(|| self.nonsense("a storage that is not reported as torch.save does"))?;
+        let storage = storage.ok_or_else(|| self.nonsense("a storage that is not declared as torch.save does"))?;
         self.push(Object::Storage(storage));
         Ok(())
     }

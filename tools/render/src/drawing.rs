@@ -28,7 +28,7 @@ pub enum Item {
 pub struct Mark {
     /// What it stands for.
     pub class: &'static str,
-    /// What a reader is reported of it, if anything.
+    /// Words that a reader sees for it, if any.
     pub title: Option<String>,
     /// Path data as in SVG, px.
     pub path: String,

@@ -12,7 +12,7 @@ impl<R: Read> Machine<R> {
             2 => Ok(()),
             _ => {
                 Err(self
-                    .nonsense("its protocol is not 2, the one that torch.save writes unless it is reported another"))
+                    .nonsense("its protocol is not 2, the one that torch.save writes unless it is asked for another"))
             }
         }
     }

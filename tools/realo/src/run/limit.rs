@@ -80,7 +80,7 @@ mod tests {
 
     use super::*;
 
-    /// What the player is reported in a graph that is changed so.
+    /// Value of `fused_at_most` that the player gets in a graph that is changed so.
     fn reported(name: &str, offline: bool, changes: &[(&str, &str, &str)]) -> Option<String> {
         let root = Path::new(env!("CARGO_MANIFEST_DIR")).join("../..");
         let mut graph = FlatGraph::load(&root.join(format!("dataflows/{name}.yml"))).unwrap();

@@ -346,7 +346,7 @@ pub fn lane(args: &Args) -> Result<Lane> {
     })
 }
 
-/// What `--project` is reported where it decides nothing.
+/// The error of `--project` where it decides nothing.
 pub fn nobody_projects(graphs: &str) -> Report {
     let node = takers(roles::PROJECT);
     eyre!("--project: no {node} of {graphs} gets the ego's states, so no sender can project")
