@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use eyre::Result;
+use eyre::{Result, ensure};
 
 use super::page::{Page, Program, Step};
 use super::template;
@@ -42,7 +42,7 @@ impl Plan {
     /// The commands of the page `name`.
     ///
     /// # Errors
-    /// A placeholder without a value.
+    /// A placeholder without a value; an output outside the page's folder.
     pub fn new(name: &str, page: &Page) -> Result<Self> {
         let folder = format!("{FOLDER}/{name}");
         let mut plan = Plan {
@@ -96,12 +96,20 @@ impl Plan {
                 None => args.push(template::fill(arg, plain)?),
             }
         }
+        let output = template::fill(&step.output, plain)?;
+        // What is there is removed before the command writes it anew.
+        ensure!(
+            output.starts_with(&out) && !output.contains(".."),
+            "step `{}`: `output`: expected a place that begins with `{{out}}`, found `{}`",
+            step.name,
+            step.output
+        );
         Ok(Job {
             step: step.name.clone(),
             value,
             program: step.program,
             args,
-            output: template::fill(&step.output, plain)?,
+            output,
             reads,
         })
     }

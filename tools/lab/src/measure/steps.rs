@@ -40,7 +40,11 @@ impl Runner<'_> {
         for (at, job) in self.plan.jobs.iter().enumerate() {
             let args: Result<Vec<String>> = job.args.iter().map(|arg| with_environment(arg)).collect();
             let args = args?;
-            let mut texts = vec![shared.clone(), self.programs.digest(job.program).into()];
+            let mut texts = vec![
+                shared.clone(),
+                self.programs.digest(job.program).into(),
+                job.output.clone(),
+            ];
             texts.extend(args.iter().cloned());
             let named = args.iter().map(|arg| self.root.join(arg)).filter(|path| path.is_file());
             let own = |path: &PathBuf| !path.starts_with(self.root.join("target"));

@@ -57,6 +57,23 @@ fn a_step_runs_for_each_value_and_the_next_reads_all_files() {
 }
 
 #[test]
+fn nothing_outside_the_folder_of_the_page_is_an_output() {
+    let tried = Tried::new();
+    let victim = tried.folder.path().join("mine");
+    fs::write(&victim, "mine").unwrap();
+    let absolute = victim.display().to_string();
+    for output in [absolute.as_str(), "mine", "{out}/../../../../../mine"] {
+        let steps = STEPS.replace("output = \"{out}.log\"", &format!("output = \"{output}\""));
+        let error = tried.run(&steps, true).unwrap_err().to_string();
+        assert!(
+            error.contains("step `logs`: `output`") && error.contains(output),
+            "{error}"
+        );
+    }
+    assert_eq!(fs::read_to_string(&victim).unwrap(), "mine");
+}
+
+#[test]
 fn steps_are_reused_until_something_that_they_read_changes() {
     let tried = Tried::new();
     let root = tried.folder.path();
