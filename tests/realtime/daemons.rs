@@ -204,8 +204,15 @@ fn two_daemons() {
     // found each other is lost there.
     let file = home.join("compute/dataflows").join(format!("{GRAPH}.yml"));
     let text = fs::read_to_string(&file).expect("the graph can be read");
-    assert!(text.contains("clock=wall"));
-    fs::write(&file, text.replace("clock=wall", "clock=wall repeat=8")).expect("the graph can be written");
+    let sensors_module = file.with_file_name("modules/sensors.yml");
+    let sensors_text = fs::read_to_string(sensors_module).expect("the module can be read");
+    assert!(sensors_text.contains("clock=wall") && text.contains("modules/sensors.yml"));
+    let repeated = file.with_file_name("repeated");
+    fs::create_dir_all(&repeated).expect("the folder can be made");
+    let sensors_text = sensors_text.replace("clock=wall", "clock=wall repeat=8");
+    fs::write(repeated.join("sensors.yml"), sensors_text).expect("the module can be written");
+    let text = text.replace("modules/sensors.yml", "repeated/sensors.yml");
+    fs::write(&file, text).expect("the graph can be written");
     std::thread::scope(|scope| {
         let run = scope.spawn(|| daemons.run());
         let begun = Instant::now();
