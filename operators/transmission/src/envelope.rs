@@ -1,6 +1,6 @@
 //! What of a header crosses a link.
 
-use realo_schemas::{Header, Kind, Name, Nanos, Packet, Pose};
+use realo_schemas::{Header, Kind, Name, Nanos, Packet, Pose, body_frame};
 
 use crate::bytes::{Reader, put_covariance6, put_f64s, put_pose, put_text};
 use crate::cpm;
@@ -22,10 +22,6 @@ pub(crate) struct Envelope {
     pub frame: Name,
     pub pose: Option<Pose>,
     pub position: Option<[f64; 3]>,
-}
-
-fn body_frame(agent: &str) -> String {
-    format!("{agent}/body")
 }
 
 fn code_of(kind: Kind) -> Option<u8> {
@@ -138,7 +134,7 @@ pub(crate) fn read(bytes: &mut Reader) -> Result<Envelope, DecodeError> {
     let (seq, stamp) = (bytes.u64("seq")?, bytes.i64("stamp")?);
     let agent: Name = named(bytes.text("agent")?, "agent")?;
     let frame: Name = match flags & FRAME {
-        0 => body_frame(&agent).into(),
+        0 => body_frame(&agent),
         _ => named(bytes.text("frame")?, "frame")?,
     };
     let pose = if flags & POSE == 0 {
