@@ -76,7 +76,7 @@ impl RunPlan {
 }
 
 /// What options of their own decide, and the option.
-const OWNED: &[(&'static str, &str)] = &[
+const OWNED: &[(&str, &str)] = &[
     (roles::LOG, "--log"),
     (roles::EGO, "--ego"),
     (roles::COOP, "--coop"),
