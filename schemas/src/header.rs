@@ -241,7 +241,7 @@ impl fmt::Display for Header {
     }
 }
 
-/// Name of an agent's gravity-aligned body frame.
-fn body_frame(agent: &str) -> Name {
+/// Name of an agent's gravity-aligned body frame, `<agent>/body`.
+pub fn body_frame(agent: &str) -> Name {
     format!("{agent}/body").into()
 }

@@ -15,7 +15,7 @@ pub mod report;
 mod time;
 pub mod wire;
 
-pub use header::{Clock, Header, Kind, Name, Pose, TraceEntry};
+pub use header::{Clock, Header, Kind, Name, Pose, TraceEntry, body_frame};
 pub use message::{Message, Payload, PayloadType, UnexpectedPayload};
 pub use payload::{
     AgentState, Box3, Boxes, DType, Elements, FeatureMap, GroundTruth, OwnLabels, Packet, PointCloud, PoseStatus,

@@ -1,16 +1,21 @@
 //! The state machine.
 
-use std::cmp::Reverse;
-use std::collections::{BTreeMap, BTreeSet, BinaryHeap, VecDeque};
+mod running;
+mod sending;
+mod serving;
 
-use realo_operator::{Books, Counts, NodeBooks, PortId, Registration, Role, WrongType};
-use realo_schemas::report::{Fate, Fated};
+use std::cmp::Reverse;
+use std::collections::{BinaryHeap, VecDeque};
+
+use realo_operator::{Books, Counts, PortId, Registration, Role, WrongType};
+use realo_schemas::report::Fated;
 use realo_schemas::{Clock, Message, Name, Nanos};
 
+use self::running::{Life, Running};
+use crate::Wiring;
 use crate::event::{Event, Key, Order, What};
-use crate::intake::{Intake, Overflow, Work};
-use crate::stage::{Call, Called, Stage, crossings, reported};
-use crate::{Feed, Wiring};
+use crate::intake::Overflow;
+use crate::stage::{Call, Called};
 
 /// What triggers the last call of a stage.
 const END: &str = "end";
@@ -106,74 +111,6 @@ pub struct Leaving {
     pub message: Message,
 }
 
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-enum Life {
-    Open,
-    Ending,
-    Ended,
-}
-
-/// One stage, as the engine sees it.
-struct Running {
-    stage: Stage,
-    intake: Intake,
-    /// Until when each server is busy.
-    busy: BTreeMap<Name, Nanos>,
-    /// Wakes that were asked for and have not come yet.
-    wakes: BTreeSet<(Nanos, Name)>,
-    /// Wakes that came while their server was busy.
-    late_wakes: BTreeSet<(Nanos, Name)>,
-    consumers: Vec<Vec<(usize, PortId)>>,
-    leaves: Vec<bool>,
-    /// By output and by input: when the last message on it is ready.
-    last_out: Vec<Nanos>,
-    last_in: Vec<Nanos>,
-    open_inputs: usize,
-    /// Whether one of its inputs has ended.
-    ends_early: bool,
-    /// Of a sink: fates that it has not seen yet.
-    fates: Vec<Fated>,
-    life: Life,
-}
-
-impl Running {
-    fn role(&self) -> Role {
-        self.stage.registration.role
-    }
-
-    fn is_free(&self, server: &str, now: Nanos) -> bool {
-        self.busy.get(server).is_none_or(|until| *until <= now)
-    }
-
-    fn has_nothing_left(&self, now: Nanos) -> bool {
-        let idle = self.intake.is_idle() && self.wakes.is_empty() && self.late_wakes.is_empty();
-        let open = self.life == Life::Open && self.role() != Role::Source;
-        open && self.open_inputs == 0 && idle && self.busy.values().all(|until| *until <= now)
-    }
-
-    fn has_ended(&self, output: usize) -> bool {
-        self.life == Life::Ended || self.is_closed(output)
-    }
-
-    /// Whether an output ended before its stage.
-    fn is_closed(&self, output: usize) -> bool {
-        self.ends_early && self.stage.registration.outputs[output].ends_early
-    }
-
-    /// Which outputs have ended.
-    fn ended_outputs(&self) -> Vec<bool> {
-        (0..self.consumers.len()).map(|output| self.has_ended(output)).collect()
-    }
-
-    fn own_books(&self) -> NodeBooks {
-        let inputs = self.intake.books().iter();
-        NodeBooks {
-            inputs: inputs.map(|(port, books)| (port.to_string(), books.clone())).collect(),
-            ..self.stage.books.clone()
-        }
-    }
-}
-
 /// Stages, what waits for them, and when it is due. Without clock or I/O: messages and the time go in, calls and what
 /// leaves come out.
 pub struct Engine {
@@ -195,26 +132,7 @@ pub struct Engine {
 impl Engine {
     /// Stages that have nothing to do yet.
     pub fn new(wiring: &Wiring, servers: Servers) -> Self {
-        let stages = wiring.stages.iter().enumerate().map(|(index, wired)| {
-            let registration = wired.registration;
-            let fed: Vec<bool> = wired.inputs.iter().map(Option::is_some).collect();
-            let outputs = registration.outputs.len();
-            Running {
-                stage: Stage::new(wired.id.clone(), registration),
-                ends_early: false,
-                open_inputs: fed.iter().filter(|fed| **fed).count(),
-                intake: Intake::new(registration.inputs, fed),
-                busy: BTreeMap::new(),
-                wakes: BTreeSet::new(),
-                late_wakes: BTreeSet::new(),
-                consumers: (0..outputs).map(|o| wiring.consumers(index, PortId(o))).collect(),
-                leaves: wired.leaves.clone(),
-                last_out: vec![Nanos::MIN; outputs],
-                last_in: vec![Nanos::MIN; registration.inputs.len()],
-                fates: Vec::new(),
-                life: Life::Open,
-            }
-        });
+        let stages = (0..wiring.stages.len()).map(|index| Running::new(wiring, index));
         let stages: Vec<Running> = stages.collect();
         // A stage without inputs, a sink alone in its process among them, has to be looked at once.
         let open = (0..stages.len()).map(|stage| (stage, Name::default())).collect();
@@ -501,223 +419,5 @@ impl Engine {
             }
         }
         Ok(None)
-    }
-
-    fn server_of(&self, message: &Message) -> Name {
-        match self.servers {
-            Servers::PerStream => match &message.header.to {
-                Some(to) => format!("{} > {to}", message.header.agent).into(),
-                None => message.header.agent.clone(),
-            },
-            Servers::One => Name::default(),
-        }
-    }
-
-    fn arrive(&mut self, stage: usize, port: PortId, message: Message) -> Result<(), EngineError> {
-        let server = self.server_of(&message);
-        let running = &mut self.stages[stage];
-        let admitted = running.stage.registration.inputs[port.0].admit(&message);
-        admitted.map_err(|wrong| EngineError::Type {
-            node: running.stage.id.to_string(),
-            wrong,
-        })?;
-        let offered = running.intake.offer(&server, port, message);
-        offered.map_err(|overflow| EngineError::Overflow {
-            node: running.stage.id.to_string(),
-            overflow,
-        })?;
-        self.pass_over(stage);
-        self.open.push_back((stage, server));
-        Ok(())
-    }
-
-    /// Says of messages over links that a stage will never be given that it passed them over.
-    fn pass_over(&mut self, stage: usize) {
-        let gone = self.stages[stage].intake.take_skipped();
-        let fates: Vec<Fated> = gone
-            .iter()
-            .flat_map(|message| reported(crossings(message), Fate::Skipped))
-            .collect();
-        if !fates.is_empty() {
-            self.report(fates);
-        }
-    }
-
-    /// The next call for a server that is free, or the stage's end.
-    fn serve(&mut self, stage: usize, server: &Name, now: Nanos) -> Option<Task> {
-        let running = &mut self.stages[stage];
-        if !running.is_free(server, now) {
-            return None;
-        }
-        let wake = running.late_wakes.iter().find(|(_, of)| of == server).cloned();
-        let wake_first = match (&wake, running.intake.first(server)) {
-            (Some((at, _)), Some((ready, class))) => (*at, Order::Wake) < (ready, class.into()),
-            (wake, None) => wake.is_some(),
-            (None, Some(_)) => false,
-        };
-        if let (Some(wake), true) = (wake, wake_first) {
-            running.late_wakes.remove(&wake);
-            return Some(self.task(stage, server, now, now, "wake", Call::Wake));
-        }
-        if let Some(Work { ready, calls }) = running.intake.next(server) {
-            let cause = running.stage.registration.inputs[calls[0].0.0].name;
-            return Some(self.task(stage, server, now, ready, cause, Call::Inputs(calls)));
-        }
-        self.last_call(stage, now)
-    }
-
-    fn task(
-        &mut self,
-        stage: usize,
-        server: &Name,
-        start: Nanos,
-        input: Nanos,
-        cause: &'static str,
-        call: Call,
-    ) -> Task {
-        let running = &mut self.stages[stage];
-        running.busy.insert(server.clone(), Nanos::MAX);
-        Task {
-            ticket: Ticket {
-                stage,
-                start,
-                cause,
-                server: server.clone(),
-                input,
-            },
-            call,
-            fates: std::mem::take(&mut running.fates),
-        }
-    }
-
-    /// The end of a stage that has nothing left to do. Sinks end last, with the books of all others.
-    fn last_call(&mut self, stage: usize, now: Nanos) -> Option<Task> {
-        let others_ended = || {
-            let mut others = self.stages.iter().filter(|running| running.role() != Role::Sink);
-            others.all(|running| running.life == Life::Ended)
-        };
-        let running = &self.stages[stage];
-        let is_sink = running.role() == Role::Sink;
-        if !running.has_nothing_left(now) || (is_sink && !others_ended()) {
-            return None;
-        }
-        self.stages[stage].intake.close();
-        self.pass_over(stage);
-        let running = &mut self.stages[stage];
-        running.life = Life::Ending;
-        let mut books = Box::new(Books::default());
-        if is_sink {
-            *books = self.books.clone();
-            let own = self.stages[stage].own_books();
-            books.nodes.insert(self.stages[stage].stage.id.to_string(), own);
-        }
-        Some(self.task(stage, &Name::default(), now, now, END, Call::End(books)))
-    }
-
-    /// A stage has ended: so do the wires behind it.
-    fn end(&mut self, stage: usize, now: Nanos) {
-        let running = &mut self.stages[stage];
-        let before = running.ended_outputs();
-        running.life = Life::Ended;
-        if running.role() != Role::Sink {
-            let (id, own) = (running.stage.id.to_string(), running.own_books());
-            self.books.nodes.insert(id, own);
-        }
-        self.end_outputs(stage, &before, now);
-        for sink in 0..self.stages.len() {
-            if self.stages[sink].role() == Role::Sink {
-                self.open.push_back((sink, Name::default()));
-            }
-        }
-    }
-
-    /// Ends the wires behind outputs that have ended and had not `before`.
-    fn end_outputs(&mut self, stage: usize, before: &[bool], now: Nanos) {
-        for (output, before) in before.iter().enumerate() {
-            if *before || !self.stages[stage].has_ended(output) {
-                continue;
-            }
-            let time = now.max(self.stages[stage].last_out[output]);
-            for (to, input) in self.stages[stage].consumers[output].clone() {
-                let key = self.key(time, to, Order::End, input, Name::default());
-                self.push(key, What::End);
-            }
-        }
-    }
-
-    /// Sends messages on; they arrive when they are ready.
-    fn dispatch(&mut self, stage: usize, sent: Vec<(PortId, Message)>, input: Nanos, start: Nanos, done: Nanos) {
-        for (port, mut message) in sent {
-            if self.stages[stage].is_closed(port.0) {
-                self.report(Fated::of(&message.header, Fate::InFlight).into_iter().collect());
-                continue;
-            }
-            if self.clock.is_some() {
-                message.header.clock = self.clock;
-            }
-            if message.header.run.is_empty() {
-                message.header.run = self.run.clone();
-            }
-            let running = &mut self.stages[stage];
-            running.stage.stamp(port, &mut message, input, start, done);
-            running.last_out[port.0] = running.last_out[port.0].max(message.header.ready);
-            let consumers = running.consumers[port.0].clone();
-            if running.leaves[port.0] {
-                let message = message.clone();
-                self.leaving.push(Leaving { stage, port, message });
-            }
-            let mut consumers = consumers.into_iter().peekable();
-            let mut left = Some(message);
-            while let Some((to, input)) = consumers.next() {
-                let message = if consumers.peek().is_some() {
-                    left.clone()
-                } else {
-                    left.take()
-                };
-                if let Some(message) = message {
-                    self.arrival(to, input, message);
-                }
-            }
-        }
-    }
-
-    fn arrival(&mut self, stage: usize, port: PortId, message: Message) {
-        let order = self.stages[stage].stage.registration.inputs[port.0].class.into();
-        let key = self.key_of(message.header.ready, stage, order, port, &message);
-        self.push(key, What::Arrive(message));
-    }
-
-    fn key_of(&mut self, time: Nanos, stage: usize, order: Order, port: PortId, of: &Message) -> Key {
-        let header = &of.header;
-        Key {
-            kind: Some(header.kind),
-            seq: header.seq,
-            ..self.key(time, stage, order, port, header.agent.clone())
-        }
-    }
-
-    fn key(&mut self, time: Nanos, stage: usize, order: Order, port: PortId, agent: Name) -> Key {
-        self.emissions += 1;
-        Key {
-            time,
-            stage,
-            order,
-            port: port.0,
-            agent,
-            kind: None,
-            seq: 0,
-            emission: self.emissions,
-        }
-    }
-
-    fn push(&mut self, key: Key, what: What) {
-        self.events.push(Reverse(Event { key, what }));
-    }
-}
-
-impl Feed {
-    /// Whether somebody outside feeds the input.
-    pub fn is_outside(self) -> bool {
-        self == Feed::Outside
     }
 }

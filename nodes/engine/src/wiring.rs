@@ -83,6 +83,13 @@ impl Wiring {
     }
 }
 
+impl Feed {
+    /// Whether somebody outside feeds the input.
+    pub fn is_outside(self) -> bool {
+        self == Feed::Outside
+    }
+}
+
 fn input_of(
     id: &str,
     registration: &'static Registration,

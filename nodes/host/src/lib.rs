@@ -13,4 +13,4 @@ pub mod virtual_time;
 pub use profile::ComputeProfile;
 pub use program::{Child, Program, interpreter, python};
 pub use stages::{BuildError, Stages};
-pub use time::{running_time, wall_now};
+pub use time::wall_now;

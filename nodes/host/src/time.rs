@@ -1,31 +1,20 @@
-//! The two clocks of a process, neither of which ever steps.
+//! The wall clock of a process, which never steps.
 
 use std::sync::LazyLock;
-use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
+use realo_clock::{steady, wall};
 use realo_schemas::Nanos;
 
 /// Readings of both clocks of which the closest two count: between others the thread stood still.
 const READINGS: usize = 8;
-
-/// Time that the process has run, ns; never goes back.
-pub fn running_time() -> Nanos {
-    static BEGUN: LazyLock<Instant> = LazyLock::new(Instant::now);
-    BEGUN.elapsed().as_nanos() as Nanos
-}
 
 /// Wall time, ns since the epoch, as the machine had it when it was asked for first, and as it has gone on since by the steady clock.
 ///
 /// Where the machine's wall clock is set meanwhile, this one goes on as before: to follow it would stall what waits for a time,
 /// hold up what came before the step, and lay what operators know on another line than what they hear next.
 pub fn wall_now() -> Nanos {
-    static BEGUN: LazyLock<Nanos> = LazyLock::new(|| begun_at(running_time, true_wall));
-    *BEGUN + running_time()
-}
-
-fn true_wall() -> Nanos {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH);
-    since.map_or(0, |since| since.as_nanos() as Nanos)
+    static BEGUN: LazyLock<Nanos> = LazyLock::new(|| begun_at(steady, wall));
+    *BEGUN + steady()
 }
 
 /// What the wall clock shows at the time 0 of the steady one.
@@ -45,12 +34,11 @@ mod tests {
 
     #[test]
     fn wall_time_is_that_of_the_machine_and_goes_on_with_the_steady_clock() {
-        let off = || (wall_now() - true_wall()).abs();
+        let off = || (wall_now() - realo_clock::wall()).abs();
         // A reading may be held up, not all of them.
         assert!((0..100).any(|_| off() < 1_000_000));
-        let (wall, steady) = (wall_now(), running_time());
-        let between = wall - steady;
-        assert!((0..100).any(|_| (wall_now() - running_time() - between).abs() < 100_000));
+        let between = wall_now() - realo_clock::steady();
+        assert!((0..100).any(|_| (wall_now() - realo_clock::steady() - between).abs() < 100_000));
     }
 
     #[test]

@@ -3,7 +3,7 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
 use realo_schemas::geometry::View;
-use realo_schemas::{AgentState, Box3, Boxes, Name, Nanos, PointCloud};
+use realo_schemas::{AgentState, Box3, Boxes, Name, Nanos, PointCloud, body_frame};
 
 use crate::info::{CLOCKS, END_RECORD, LEVELLED, LOG_RECORD, check_agents};
 use crate::mcap_writer::{ChannelId, Failure, Lane, McapWriter, Output};
@@ -88,7 +88,7 @@ impl LogWriter {
     /// An agent that the log does not have; times before 1970; why writing failed.
     pub fn cloud(&mut self, agent: &str, stamp: Nanos, ready: Nanos, cloud: &PointCloud) -> Result<(), LogError> {
         self.sweep(agent, stamp, ready)?;
-        let frame = body(agent);
+        let frame = body_frame(agent);
         self.write(agent, Stream::Points, stamp, ready, |out| {
             cloud::encode(out, stamp, &frame, cloud)
         })
@@ -99,7 +99,7 @@ impl LogWriter {
     /// # Errors
     /// As [`LogWriter::cloud`].
     pub fn sweep(&mut self, agent: &str, stamp: Nanos, ready: Nanos) -> Result<(), LogError> {
-        let frame = body(agent);
+        let frame = body_frame(agent);
         let encode = |out: &mut Vec<u8>| CdrWriter::new(out).header(stamp, &frame);
         self.write(agent, Stream::Sweeps, stamp, ready, encode)?;
         if let Some(known) = self.agents.get_mut(agent) {
@@ -126,7 +126,7 @@ impl LogWriter {
         let tf = *self
             .tf
             .get_or_insert_with(|| mcap.channel("/tf", Schema::TfMessage, Lane::Small));
-        let frame = body(agent);
+        let frame = body_frame(agent);
         let encode = |out: &mut Vec<u8>| pose::encode_transform(out, stamp, &map, &frame, &state.map_from_body);
         let written = mcap.write(tf, ready as u64, stamp as u64, encode);
         written.map(|_| ()).map_err(|failure| self.failed(failure))
@@ -160,7 +160,7 @@ impl LogWriter {
         let info = self.labels_info(agent, stamp, objects, points, key)?;
         let streams = [Stream::GroundTruth, Stream::GroundTruthInfo];
         self.write_boxes(agent, streams, stamp, ready, objects, &info)?;
-        let frame = body(agent);
+        let frame = body_frame(agent);
         self.write(agent, Stream::GroundTruthMarkers, stamp, ready, |out| {
             boxes::encode_markers(out, stamp, &frame, "ground_truth", objects);
         })?;
@@ -324,7 +324,7 @@ impl LogWriter {
             let topic = stream.topic(agent);
             return Err(LogError::input(&self.path, format!("{topic}: view {index}: {reason}")));
         }
-        let frame = body(agent);
+        let frame = body_frame(agent);
         self.write(agent, stream, stamp, ready, |out| {
             views::encode(out, stamp, &frame, views)
         })
@@ -339,7 +339,7 @@ impl LogWriter {
         objects: &[Box3],
         info: &BoxesInfo,
     ) -> Result<(), LogError> {
-        let frame = body(agent);
+        let frame = body_frame(agent);
         self.write(agent, stream, stamp, ready, |out| {
             boxes::encode(out, stamp, &frame, objects)
         })?;
@@ -407,8 +407,4 @@ pub(crate) fn partial(target: &Path) -> PathBuf {
     let mut name = target.file_name().unwrap_or_default().to_os_string();
     name.push(format!(".{}.partial", std::process::id()));
     target.with_file_name(name)
-}
-
-pub(crate) fn body(agent: &str) -> String {
-    format!("{agent}/body")
 }

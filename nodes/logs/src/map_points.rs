@@ -1,9 +1,8 @@
 //! Points in the frame of the map, which transforms bring to the body: whether these are where the agent's poses are.
 
-use realo_schemas::Nanos;
+use realo_schemas::{Nanos, body_frame};
 
 use crate::frames::{Frames, bare};
-use crate::log_writer::body;
 use crate::timing::read_stamps;
 use crate::{Log, LogError, MAX_GAP, Stream, pose_track};
 
@@ -46,7 +45,7 @@ impl TransformsApart {
         let (mut count, mut of, mut first) = (0, 0, None);
         for stamp in sweeps(log, agent)? {
             of += 1;
-            let (Some(pose), Ok(way)) = (poses.at(stamp), frames.way(map, &body(agent), stamp)) else {
+            let (Some(pose), Ok(way)) = (poses.at(stamp), frames.way(map, &body_frame(agent), stamp)) else {
                 continue;
             };
             let far = (pose.translation.vector - way.to_from_from.translation.vector).norm();

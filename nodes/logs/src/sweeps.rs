@@ -3,12 +3,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::{Mutex, MutexGuard, OnceLock};
 
-use realo_schemas::{Nanos, PointCloud};
+use realo_schemas::{Nanos, PointCloud, body_frame};
 use serde::Serialize;
 
 use crate::cloud::{CloudReader, Reading};
 use crate::frames::{Frames, NoWay, Way, bare};
-use crate::log_writer::body;
 use crate::stamps::stamp_of;
 use crate::times::TimeRule;
 use crate::tracks::Tracks;
@@ -91,8 +90,8 @@ impl Context {
 
     /// How to bring what lies in `frame` into the agent's body frame; `None` if it lies there.
     pub fn way(&self, agent: &str, frame: &str, stamp: Nanos) -> Result<Option<Way>, NoCloud> {
-        let to = body(agent);
-        if bare(frame) == to {
+        let to = body_frame(agent);
+        if *bare(frame) == *to {
             return Ok(None);
         }
         let frames = self

@@ -5,7 +5,7 @@ mod truth;
 
 use std::collections::BTreeMap;
 
-use realo_schemas::Nanos;
+use realo_schemas::{Nanos, body_frame};
 
 use crate::map_points::{TRANSFORMS_DIFFER, TransformsApart};
 use crate::words::{millis, nearest_words, seconds};
@@ -205,9 +205,10 @@ fn unplaced(log: &Log, times: &AgentTimes) -> Result<Option<String>, LogError> {
     Ok(lost.map(|(count, first, reason)| {
         format!(
             "`{agent}`: {count} of {} sweeps have no pose in the body frame: at {} s {reason}: write transforms on /tf at 10 Hz or more \
-             that span the sweeps, or points in `{agent}/body`",
+             that span the sweeps, or points in `{}`",
             sweeps.len(),
-            seconds(first)
+            seconds(first),
+            body_frame(agent)
         )
     }))
 }

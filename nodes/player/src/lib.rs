@@ -18,7 +18,6 @@ mod truth;
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::thread;
-use std::time::{SystemTime, UNIX_EPOCH};
 
 use realo_logs::{Log, LogError, Stream};
 use realo_operator::{Counter, Counts, Describe, Error, NoInput, Outputs, PortId, Settings, Source};
@@ -219,8 +218,7 @@ impl Wall {
         let slots = self.slots;
         let most = self.per_pass.values().flatten().copied().max().unwrap_or(0);
         let (shift, passes) = *self.moved.get_or_insert_with(|| {
-            let since = SystemTime::now().duration_since(UNIX_EPOCH).unwrap_or_default();
-            let count = slots.until(since.as_nanos() as Nanos);
+            let count = slots.until(realo_clock::wall());
             let passes = count.rem_euclid((NUMBERS / most.max(1)).max(1) as Nanos);
             (count * slots.slot, passes as u64)
         });

@@ -3,12 +3,11 @@
 //! - [`protocol`]: what goes out when to one peer, and what came in, without socket or clock.
 //! - [`station`]: an agent among its peers, likewise; with [`books`] of what became of messages, the [`offset`] of clocks and the [`course`] of ways.
 //! - [`keys`] of agents, what they [`seal`], and why something is a [`refusal`].
-//! - [`session`]: Zenoh's settings; [`clock`]s of the machine; [`network`]: Zenoh, and the thread that drives a station.
+//! - [`session`]: Zenoh's settings; [`network`]: Zenoh, and the thread that drives a station.
 //! - [`Radio`]: the node of a graph.
 
 pub mod body;
 pub mod books;
-pub mod clock;
 pub mod course;
 mod endpoint;
 pub mod keys;
@@ -21,6 +20,9 @@ pub mod seal;
 pub mod session;
 pub mod station;
 mod unheard;
+
+/// The clocks of the machine, between which a [`station`]'s times are moved.
+pub use realo_clock as clock;
 
 pub use endpoint::{Endpoint, NoEndpoint};
 pub use node::{Radio, Settings};

@@ -10,7 +10,7 @@ use realo_logs::{
 use realo_operator::Books;
 use realo_schemas::geometry::View;
 use realo_schemas::report::Fated;
-use realo_schemas::{AgentState, Box3, Boxes, GroundTruth, Header, Nanos, Packet, PointCloud, Report};
+use realo_schemas::{AgentState, Box3, Boxes, GroundTruth, Header, Nanos, Packet, PointCloud, Report, body_frame};
 use serde_json::{Value, json};
 
 /// Topic of the reports that say what became of messages.
@@ -119,7 +119,7 @@ impl Recording {
         let (stamp, topic) = (header.stamp, format!("/{}/pose", header.agent));
         let schema = Schema::PoseWithCovarianceStamped;
         self.write(&topic, schema, header, |out| pose::encode(out, stamp, "map", state))?;
-        let body = format!("{}/body", header.agent);
+        let body = body_frame(&header.agent);
         self.write("/tf", Schema::TfMessage, header, |out| {
             pose::encode_transform(out, stamp, "map", &body, &state.map_from_body);
         })

@@ -1,6 +1,6 @@
 //! What of a header crosses a link.
 
-use realo_schemas::{Header, Kind, Name, Nanos, Packet, Pose};
+use realo_schemas::{Header, Kind, Name, Nanos, Packet, Pose, body_frame};
 
 use crate::bytes::{Reader, put_covariance6, put_f64s, put_pose, put_text};
 use crate::cpm;
@@ -22,10 +22,6 @@ pub(crate) struct Envelope {
     pub frame: Name,
     pub pose: Option<Pose>,
     pub position: Option<[f64; 3]>,
-}
-
-fn body_frame(agent: &str) -> String {
-    format!("{agent}/body")
 }
 
 fn code_of(kind: Kind) -> Option<u8> {
@@ -101,6 +97,43 @@ pub fn restamped(packet: &Packet, stamp: Nanos) -> Option<Packet> {
 }
 
 pub(crate) fn read(bytes: &mut Reader) -> Result<Envelope, DecodeError> {
+    let kind = read_kind(bytes)?;
+    let flags = bytes.flags(POSE | COVARIANCE | FRAME | POSITION, "flags of the envelope")?;
+    if flags & POSE == 0 && flags & COVARIANCE != 0 {
+        let found = "a covariance without a pose".into();
+        return Err(DecodeError::Value {
+            field: "flags of the envelope",
+            expected: "a pose",
+            found,
+        });
+    }
+    let (seq, stamp) = (bytes.u64("seq")?, bytes.i64("stamp")?);
+    let agent: Name = named(bytes.text("agent")?, "agent")?;
+    let frame: Name = match flags & FRAME {
+        0 => body_frame(&agent),
+        _ => named(bytes.text("frame")?, "frame")?,
+    };
+    let pose = match flags & POSE {
+        0 => None,
+        _ => Some(read_pose(bytes, flags & COVARIANCE != 0)?),
+    };
+    let position = match flags & POSITION {
+        0 => None,
+        _ => Some(bytes.f64s::<3>("position of the sender")?),
+    };
+    Ok(Envelope {
+        kind,
+        seq,
+        stamp,
+        agent,
+        frame,
+        pose,
+        position,
+    })
+}
+
+/// What says that this is an envelope that is known, and of what.
+fn read_kind(bytes: &mut Reader) -> Result<Kind, DecodeError> {
     let magic = bytes.take(MAGIC.len(), 1, "magic")?;
     if magic != MAGIC {
         return Err(DecodeError::Value {
@@ -122,51 +155,17 @@ pub(crate) fn read(bytes: &mut Reader) -> Result<Envelope, DecodeError> {
         expected: "1 to 4",
         found: code.to_string(),
     };
-    let kind = Kind::ALL
-        .into_iter()
-        .find(|kind| code_of(*kind) == Some(code))
-        .ok_or_else(unknown)?;
-    let flags = bytes.flags(POSE | COVARIANCE | FRAME | POSITION, "flags of the envelope")?;
-    if flags & POSE == 0 && flags & COVARIANCE != 0 {
-        let found = "a covariance without a pose".into();
-        return Err(DecodeError::Value {
-            field: "flags of the envelope",
-            expected: "a pose",
-            found,
-        });
-    }
-    let (seq, stamp) = (bytes.u64("seq")?, bytes.i64("stamp")?);
-    let agent: Name = named(bytes.text("agent")?, "agent")?;
-    let frame: Name = match flags & FRAME {
-        0 => body_frame(&agent).into(),
-        _ => named(bytes.text("frame")?, "frame")?,
-    };
-    let pose = if flags & POSE == 0 {
-        None
-    } else {
-        let map_from_frame = bytes.pose("pose")?;
-        let covariance = if flags & COVARIANCE == 0 {
-            None
-        } else {
-            Some(bytes.covariance6("covariance of the pose")?)
-        };
-        Some(Pose {
-            map_from_frame,
-            covariance,
-        })
-    };
-    let position = match flags & POSITION {
-        0 => None,
-        _ => Some(bytes.f64s::<3>("position of the sender")?),
-    };
-    Ok(Envelope {
-        kind,
-        seq,
-        stamp,
-        agent,
-        frame,
-        pose,
-        position,
+    let mut kinds = Kind::ALL.into_iter();
+    kinds.find(|kind| code_of(*kind) == Some(code)).ok_or_else(unknown)
+}
+
+fn read_pose(bytes: &mut Reader, with_covariance: bool) -> Result<Pose, DecodeError> {
+    Ok(Pose {
+        map_from_frame: bytes.pose("pose")?,
+        covariance: match with_covariance {
+            true => Some(bytes.covariance6("covariance of the pose")?),
+            false => None,
+        },
     })
 }
 

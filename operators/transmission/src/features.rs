@@ -163,15 +163,14 @@ impl Writer {
         chosen: Option<&[u32]>,
         steps: &mut Steps,
     ) -> Result<Written, EncodeError> {
-        let all = map.rows as usize * map.columns as usize;
         let ascending = chosen.map(|chosen| {
             let mut chosen = chosen.to_vec();
             chosen.sort_unstable();
             chosen
         });
         let gathered = ascending.as_ref().map(|chosen| cells::gathered(map, chosen));
-        let crossing = chosen.map_or(all, <[u32]>::len);
         let from = gathered.as_ref().unwrap_or(map);
+        let (all, crossing) = (cells_of(map), cells_of(from));
         let (elements, beyond) = match crossing {
             0 => (Elements::F32, 0),
             _ => steps.time("quantisation", || self.convert(from))?,
@@ -182,50 +181,71 @@ impl Writer {
             shuffle: self.shuffle && crossing > 0,
             zstd: self.zstd.is_some(),
         };
-        let mut bytes: &[u8] = match elements {
+        self.places.clear();
+        if let (Some(ascending), Some(confidence)) = (&ascending, &map.confidence) {
+            cells::write(ascending, confidence, &mut self.places);
+        }
+        self.pack(from, coding, steps)?;
+        steps.time("serialisation", || self.serialise(out, map, from, coding))?;
+        Ok(Written {
+            coding,
+            beyond,
+            left_out: (all - crossing) as u64,
+        })
+    }
+
+    /// Shuffles the elements of cells that cross, and compresses them and their places, as the coding says.
+    fn pack(&mut self, from: &FeatureMap, coding: Coding, steps: &mut Steps) -> Result<(), EncodeError> {
+        let mut bytes: &[u8] = match coding.elements {
             Elements::F32 => &from.data,
             _ => &self.converted,
         };
         if coding.shuffle {
             self.shuffled.resize(bytes.len(), 0);
             steps.time("shuffling", || {
-                transpose(bytes, bytes.len() / crossing, &mut self.shuffled)
+                transpose(bytes, bytes.len() / cells_of(from), &mut self.shuffled)
             });
             bytes = &self.shuffled;
         }
-        self.places.clear();
-        if let (Some(ascending), Some(confidence)) = (&ascending, &map.confidence) {
-            cells::write(ascending, confidence, &mut self.places);
-        }
-        let mut places = &self.places;
-        if let Some(zstd) = &mut self.zstd {
-            steps.time("compression", || {
-                compress(zstd, places, &mut self.compressed_places)?;
-                compress(zstd, bytes, &mut self.compressed)
-            })?;
-            (places, bytes) = (&self.compressed_places, &self.compressed);
-        }
-        steps.time("serialisation", || {
-            out.reserve(400 + 8 * map.channels as usize + places.len() + bytes.len());
-            head(out, map, coding)?;
-            if coding.cells {
-                out.extend((crossing as u32).to_le_bytes());
-                put(out, places, coding.zstd)?;
-            }
-            if crossing > 0 {
-                if elements == Elements::Int8 {
-                    put_column(out, &self.scales.min, f32::to_le_bytes);
-                    put_column(out, &self.scales.step, f32::to_le_bytes);
-                }
-                put(out, bytes, coding.zstd)?;
-            }
-            Ok(())
-        })?;
-        Ok(Written {
-            coding,
-            beyond,
-            left_out: (all - crossing) as u64,
+        let Some(zstd) = &mut self.zstd else { return Ok(()) };
+        steps.time("compression", || {
+            compress(zstd, &self.places, &mut self.compressed_places)?;
+            compress(zstd, bytes, &mut self.compressed)
         })
+    }
+
+    /// Writes what [`Writer::pack`] made of cells of a map.
+    fn serialise(
+        &self,
+        out: &mut Vec<u8>,
+        map: &FeatureMap,
+        from: &FeatureMap,
+        coding: Coding,
+    ) -> Result<(), EncodeError> {
+        let (places, bytes): (&[u8], &[u8]) = match coding {
+            Coding { zstd: true, .. } => (&self.compressed_places, &self.compressed),
+            Coding { shuffle: true, .. } => (&self.places, &self.shuffled),
+            Coding {
+                elements: Elements::F32,
+                ..
+            } => (&self.places, &from.data),
+            _ => (&self.places, &self.converted),
+        };
+        let crossing = cells_of(from);
+        out.reserve(400 + 8 * map.channels as usize + places.len() + bytes.len());
+        head(out, map, coding)?;
+        if coding.cells {
+            out.extend((crossing as u32).to_le_bytes());
+            put(out, places, coding.zstd)?;
+        }
+        if crossing > 0 {
+            if coding.elements == Elements::Int8 {
+                put_column(out, &self.scales.min, f32::to_le_bytes);
+                put_column(out, &self.scales.step, f32::to_le_bytes);
+            }
+            put(out, bytes, coding.zstd)?;
+        }
+        Ok(())
     }
 
     /// Converts numbers of a map of f32 as the settings say; any other map stays as it is.
@@ -265,6 +285,10 @@ fn put(out: &mut Vec<u8>, bytes: &[u8], compressed: bool) -> Result<(), EncodeEr
     }
     out.extend_from_slice(bytes);
     Ok(())
+}
+
+fn cells_of(map: &FeatureMap) -> usize {
+    map.rows as usize * map.columns as usize
 }
 
 fn check(map: &FeatureMap) -> Result<(), EncodeError> {

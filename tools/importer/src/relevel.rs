@@ -76,25 +76,29 @@ pub fn relevel_with(
     if log.truncation().is_none() {
         copy.check_complete()?;
     }
-    let mut before = log.levelled()?;
-    let levelled: BTreeMap<String, Levelled> = copy
-        .agents
-        .iter()
-        .map(|(agent, leveller)| {
-            let reported = leveller.reported(level);
-            // What was level by an earlier making stays so in words too.
-            let before = before.remove(&**agent).filter(|before| match level {
-                Level::None => true,
-                Level::Pose => before.by != Levelled::BY_NOTHING && reported.degrees[1] <= LEVEL,
-                Level::Ground => false,
-            });
-            (agent.to_string(), before.unwrap_or(reported))
-        })
-        .collect();
+    let levelled = levelled(&copy.agents, log.levelled()?, level);
     copy.writer.levelled(levelled.clone());
     copy.writer.clocks(log.clocks()?);
     copy.writer.finish()?;
     Ok(levelled)
+}
+
+/// What the copy says of its levelling; what was level by an earlier making stays so in words too.
+fn levelled(
+    agents: &BTreeMap<Name, Leveller>,
+    mut before: BTreeMap<String, Levelled>,
+    level: Level,
+) -> BTreeMap<String, Levelled> {
+    let reported = agents.iter().map(|(agent, leveller)| {
+        let reported = leveller.reported(level);
+        let before = before.remove(&**agent).filter(|before| match level {
+            Level::None => true,
+            Level::Pose => before.by != Levelled::BY_NOTHING && reported.degrees[1] <= LEVEL,
+            Level::Ground => false,
+        });
+        (agent.to_string(), before.unwrap_or(reported))
+    });
+    reported.collect()
 }
 
 /// Everything but what follows from other things.

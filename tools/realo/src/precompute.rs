@@ -58,32 +58,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         compute: args.compute.clone(),
         ..lane_args(&args.graph, &args.log, &ego, &agents, &args.choices)
     })?;
-    let known = log.info().precomputed.as_ref();
-    let kept = known.filter(|known| known.difference(&lane.described).is_none());
-    if let (Some(known), None) = (known, kept) {
-        eprintln!(
-            "realo: {}: what it has of {known} was computed otherwise and is left out",
-            args.log.display()
-        );
-    }
-    let kept = kept.map(|known| known.agents.clone()).unwrap_or_default();
-    let all = log.info().agents.iter().map(|agent| agent.name.clone());
-    let precomputed = Precomputed {
-        graph: args
-            .graph
-            .file_stem()
-            .unwrap_or_default()
-            .to_string_lossy()
-            .into_owned(),
-        agents: all
-            .filter(|agent| agents.contains(agent) || kept.contains(agent))
-            .collect(),
-        compute: match &args.compute {
-            None => "measured".into(),
-            Some(profile) => profile.file_stem().unwrap_or_default().to_string_lossy().into_owned(),
-        },
-        lane: lane.described.clone(),
-    };
+    let precomputed = precomputed(args, &log, &lane, &agents);
     let copy = LogCopy::begin(&log, &args.output, &precomputed, &agents)?;
     if !copy.strange().is_empty() {
         let topics = copy.strange().join(", ");
@@ -101,7 +76,36 @@ pub fn main(args: &Args) -> Result<Outcome> {
     progress.finish();
     let sent = write(copy, spool)?;
     unfinished::done(&args.output);
-    for agent in &agents {
+    show(&sent, &agents);
+    println!("{}", args.output.display());
+    Ok(Outcome::Complete)
+}
+
+/// What the copy will say of its packets: those of these agents, and the log's own that were computed alike.
+fn precomputed(args: &Args, log: &Log, lane: &Lane, agents: &[String]) -> Precomputed {
+    let known = log.info().precomputed.as_ref();
+    let kept = known.filter(|known| known.difference(&lane.described).is_none());
+    if let (Some(known), None) = (known, kept) {
+        eprintln!(
+            "realo: {}: what it has of {known} was computed otherwise and is left out",
+            args.log.display()
+        );
+    }
+    let kept = kept.map(|known| known.agents.clone()).unwrap_or_default();
+    let all = log.info().agents.iter().map(|agent| agent.name.clone());
+    let stem = |path: &Path| path.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    Precomputed {
+        graph: stem(&args.graph),
+        agents: all
+            .filter(|agent| agents.contains(agent) || kept.contains(agent))
+            .collect(),
+        compute: args.compute.as_deref().map_or("measured".into(), stem),
+        lane: lane.described.clone(),
+    }
+}
+
+fn show(sent: &Sent, agents: &[String]) {
+    for agent in agents {
         let (packets, bytes, nanos) = sent.get(&**agent).copied().unwrap_or_default();
         let mean = |sum: f64| if packets == 0 { 0.0 } else { sum / packets as f64 };
         println!(
@@ -110,8 +114,6 @@ pub fn main(args: &Args) -> Result<Outcome> {
             mean(nanos as f64 / 1e6)
         );
     }
-    println!("{}", args.output.display());
-    Ok(Outcome::Complete)
 }
 
 /// A packet for each sweep of the agents, unless some give none.

@@ -81,6 +81,21 @@ pub(crate) struct BodyState {
     pub slope: [f64; 2],
 }
 
+/// The sensor of an agent: the options' in turn, else what its kind usually has.
+fn sensor_of(options: &Options, vehicle: bool, of_kind: usize) -> Arc<Sensor> {
+    let own = if vehicle {
+        &options.vehicle_sensors
+    } else {
+        &options.roadside_sensors
+    };
+    match (own.is_empty(), vehicle, of_kind % 2) {
+        (false, ..) => own[of_kind % own.len()].clone(),
+        (_, true, _) => Sensor::ruby_plus(),
+        (_, _, 0) => Sensor::os1_128(),
+        _ => Sensor::os1_64(),
+    }
+}
+
 impl Agent {
     /// The agents that options ask for: vehicles, then roadside units, by number.
     ///
@@ -142,17 +157,7 @@ impl Agent {
             Carrier::Stand(stand) => (None, Some(stand)),
         };
         let vehicle = user.is_some();
-        let own = if vehicle {
-            &options.vehicle_sensors
-        } else {
-            &options.roadside_sensors
-        };
-        let sensor = match (own.is_empty(), vehicle, of_kind % 2) {
-            (false, ..) => own[of_kind % own.len()].clone(),
-            (_, true, _) => Sensor::ruby_plus(),
-            (_, _, 0) => Sensor::os1_128(),
-            _ => Sensor::os1_64(),
-        };
+        let sensor = sensor_of(options, vehicle, of_kind);
         let mount = sensor.mount.unwrap_or(Mount {
             height: if vehicle { VEHICLE_SENSOR } else { ROADSIDE_SENSOR },
             pitch: 0.0,

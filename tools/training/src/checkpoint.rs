@@ -176,72 +176,88 @@ impl Checkpoint {
         let steps = reported.parse().ok().filter(|steps| *steps <= plan.steps);
         let steps =
             steps.ok_or_else(|| format!("`steps`: expected 0 to {} of the plan, found `{reported}`", plan.steps))?;
-        let file = SafeTensors::deserialize(bytes).map_err(|error| error.to_string())?;
-        let read = |name: &str, shape: &[usize]| -> Result<Vec<f32>, String> {
-            let view = file
-                .tensor(name)
-                .map_err(|_| format!("expected `{name}` {shape:?}, found none"))?;
-            if view.dtype() != Dtype::F32 || view.shape() != shape {
-                return Err(format!(
-                    "expected `{name}` F32 {shape:?}, found {:?} {:?}",
-                    view.dtype(),
-                    view.shape()
-                ));
-            }
-            let numbers = view.data().as_chunks::<4>().0.iter();
-            let numbers: Vec<f32> = numbers.map(|bytes| f32::from_le_bytes(*bytes)).collect();
-            match numbers.iter().all(|number| number.is_finite()) {
-                true => Ok(numbers),
-                false => Err(format!("expected finite numbers in `{name}`, found others")),
-            }
-        };
-        let mut values = HashMap::new();
-        for spec in Layers::of(model).tensors() {
-            let read = read(&spec.key, &spec.shape)?;
-            values.insert(spec.key, read);
-        }
-        let mut value = |spec: &TensorSpec| values.remove(&spec.key).expect("every tensor has been read");
-        let network = Network::with(model, &mut value).map_err(|error| error.to_string())?;
-        let mut optimizer = AdamW {
-            steps,
-            ..AdamW::new(&network)
-        };
-        for (index, parameter) in network.parameters().iter().enumerate().filter(|(_, p)| p.trained) {
-            let shape = parameter.value.dims();
-            optimizer.first[index] = read(&format!("adam.first.{}", parameter.name), shape)?;
-            optimizer.second[index] = read(&format!("adam.second.{}", parameter.name), shape)?;
-        }
-        let steps_of_decoys = file
-            .names()
-            .into_iter()
-            .filter_map(|name| name.strip_prefix(DECOYS)?.parse::<u64>().ok());
-        let mut supply = Supply::default();
-        for step in steps_of_decoys.collect::<BTreeSet<u64>>() {
-            let name = format!("{DECOYS}{step}");
-            let view = file.tensor(&name).map_err(|error| error.to_string())?;
-            supply.add(step, Decoys::from_numbers(&read(&name, view.shape())?));
-        }
-        let curve = file.tensor("curve").map_err(|error| error.to_string())?;
-        let numbers: Vec<f64> = curve
-            .data()
-            .as_chunks::<8>()
-            .0
-            .iter()
-            .map(|bytes| f64::from_le_bytes(*bytes))
-            .collect();
-        let points = numbers
-            .as_chunks::<{ Point::NUMBERS }>()
-            .0
-            .iter()
-            .map(Point::from_numbers)
-            .collect();
+        let file = StateFile(SafeTensors::deserialize(bytes).map_err(|error| error.to_string())?);
+        let network = file.network(model)?;
+        let optimizer = file.optimizer(&network, steps)?;
         Ok(Checkpoint {
             network,
             optimizer,
-            curve: Curve { points },
-            supply,
+            supply: file.supply()?,
+            curve: file.curve()?,
             plan,
         })
+    }
+}
+
+/// The tensors of a checkpoint; what is read of them has the shape that it must have.
+struct StateFile<'a>(SafeTensors<'a>);
+
+impl StateFile<'_> {
+    fn network(&self, model: &Model) -> Result<Network, String> {
+        let mut values = HashMap::new();
+        for spec in Layers::of(model).tensors() {
+            let read = self.numbers(&spec.key, &spec.shape)?;
+            values.insert(spec.key, read);
+        }
+        let mut value = |spec: &TensorSpec| values.remove(&spec.key).expect("every tensor has been read");
+        Network::with(model, &mut value).map_err(|error| error.to_string())
+    }
+
+    /// The optimizer's moments of the parameters that are trained.
+    fn optimizer(&self, network: &Network, steps: u64) -> Result<AdamW, String> {
+        let mut optimizer = AdamW {
+            steps,
+            ..AdamW::new(network)
+        };
+        for (index, parameter) in network.parameters().iter().enumerate().filter(|(_, p)| p.trained) {
+            let shape = parameter.value.dims();
+            optimizer.first[index] = self.numbers(&format!("adam.first.{}", parameter.name), shape)?;
+            optimizer.second[index] = self.numbers(&format!("adam.second.{}", parameter.name), shape)?;
+        }
+        Ok(optimizer)
+    }
+
+    fn supply(&self) -> Result<Supply, String> {
+        let names = self.0.names().into_iter();
+        let steps = names.filter_map(|name| name.strip_prefix(DECOYS)?.parse::<u64>().ok());
+        let mut supply = Supply::default();
+        for step in steps.collect::<BTreeSet<u64>>() {
+            let name = format!("{DECOYS}{step}");
+            let view = self.0.tensor(&name).map_err(|error| error.to_string())?;
+            supply.add(step, Decoys::from_numbers(&self.numbers(&name, view.shape())?));
+        }
+        Ok(supply)
+    }
+
+    fn curve(&self) -> Result<Curve, String> {
+        let curve = self.0.tensor("curve").map_err(|error| error.to_string())?;
+        let numbers = curve.data().as_chunks::<8>().0.iter();
+        let numbers: Vec<f64> = numbers.map(|bytes| f64::from_le_bytes(*bytes)).collect();
+        let points = numbers.as_chunks::<{ Point::NUMBERS }>().0.iter();
+        Ok(Curve {
+            points: points.map(Point::from_numbers).collect(),
+        })
+    }
+
+    /// The finite f32 numbers of a tensor of this shape.
+    fn numbers(&self, name: &str, shape: &[usize]) -> Result<Vec<f32>, String> {
+        let view = self
+            .0
+            .tensor(name)
+            .map_err(|_| format!("expected `{name}` {shape:?}, found none"))?;
+        if view.dtype() != Dtype::F32 || view.shape() != shape {
+            return Err(format!(
+                "expected `{name}` F32 {shape:?}, found {:?} {:?}",
+                view.dtype(),
+                view.shape()
+            ));
+        }
+        let numbers = view.data().as_chunks::<4>().0.iter();
+        let numbers: Vec<f32> = numbers.map(|bytes| f32::from_le_bytes(*bytes)).collect();
+        match numbers.iter().all(|number| number.is_finite()) {
+            true => Ok(numbers),
+            false => Err(format!("expected finite numbers in `{name}`, found others")),
+        }
     }
 }
 

@@ -13,8 +13,8 @@ use realo_engine::{Engine, EngineError, Servers, Step, Task};
 use realo_operator::{Built, InputBooks, Outputs, PortId, Registration, Waker};
 use realo_schemas::{Message, Nanos, wire};
 
+use crate::Stages;
 use crate::time::wall_now;
-use crate::{Stages, running_time};
 
 use super::edges::Edge;
 use super::inbox::{Heard, Inbox};
@@ -188,7 +188,7 @@ fn call(
     registration: &'static Registration,
 ) -> Result<(), HostError> {
     let begun = Instant::now();
-    let out = Outputs::at(ticket.start).with_clock(running_time);
+    let out = Outputs::at(ticket.start).with_clock(realo_clock::steady);
     let called = call.make(&mut built, registration, out, &fates);
     let took = begun.elapsed().as_nanos() as Nanos;
     let mut state = shared.lock();

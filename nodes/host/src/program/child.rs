@@ -2,7 +2,7 @@
 
 mod words;
 
-use std::process::{Child as Process, Command};
+use std::process::{Child as Process, ChildStdin, ChildStdout, Command};
 use std::sync::mpsc::{Receiver, RecvTimeoutError, SyncSender, sync_channel};
 use std::sync::{Arc, Mutex};
 use std::thread::JoinHandle;
@@ -74,6 +74,35 @@ impl From<String> for Failure {
 /// A frame's parts, and whether it may go through shared memory.
 type Frame = (Vec<Buffer>, bool);
 
+/// Reads what a program answers. One reply is asked for at a time; a program that says more has to wait.
+fn replies_on(mut stdout: ChildStdout, memory: Arc<Memory>) -> Receiver<Result<Buffer, FrameError>> {
+    let (sender, replies) = sync_channel(1);
+    std::thread::spawn(move || {
+        let mut frame = frame::read_first(&mut stdout).transpose();
+        while let Some(next) = frame {
+            if sender.send(next).is_err() {
+                return;
+            }
+            frame = frame::read(&mut stdout, &memory).transpose();
+        }
+    });
+    replies
+}
+
+/// Writes calls, and says how that went; on a thread, because a program that does not read would hold up whoever writes.
+fn calls_on(mut stdin: ChildStdin, memory: Arc<Memory>) -> (SyncSender<Frame>, Receiver<Result<(), FrameError>>) {
+    let (calls, asked) = sync_channel::<Frame>(1);
+    let (reports, written) = sync_channel(1);
+    std::thread::spawn(move || {
+        while let Ok((call, shared)) = asked.recv() {
+            if reports.send(frame::write(&mut stdin, &call, &memory, shared)).is_err() {
+                return;
+            }
+        }
+    });
+    (calls, written)
+}
+
 /// How long a call may take; a program that is silent for longer hangs.
 #[derive(Clone, Copy, Debug)]
 pub(crate) struct Silence {
@@ -102,36 +131,14 @@ impl Child {
                 "node `{node}`: cannot start {program}: {error}; build it, or correct the path, which is seen from the graph's folder"
             )
         })?;
-        let (Some(mut stdin), Some(mut stdout), Some(stderr)) =
+        let (Some(stdin), Some(stdout), Some(stderr)) =
             (process.stdin.take(), process.stdout.take(), process.stderr.take())
         else {
             return Err(format!("node `{node}`: {program} has no pipes"));
         };
-        // One reply is asked for at a time; a program that says more has to wait.
-        let (sender, replies) = sync_channel(1);
         let memory = Arc::new(Memory::default());
-        std::thread::spawn({
-            let memory = memory.clone();
-            move || {
-                let mut frame = frame::read_first(&mut stdout).transpose();
-                while let Some(next) = frame {
-                    if sender.send(next).is_err() {
-                        return;
-                    }
-                    frame = frame::read(&mut stdout, &memory).transpose();
-                }
-            }
-        });
-        // On a thread, because a program that does not read would hold up whoever writes.
-        let (calls, asked) = sync_channel::<Frame>(1);
-        let (reports, written) = sync_channel(1);
-        std::thread::spawn(move || {
-            while let Ok((call, shared)) = asked.recv() {
-                if reports.send(frame::write(&mut stdin, &call, &memory, shared)).is_err() {
-                    return;
-                }
-            }
-        });
+        let replies = replies_on(stdout, memory.clone());
+        let (calls, written) = calls_on(stdin, memory);
         let said = Arc::new(Mutex::new(Vec::new()));
         let listener = std::thread::spawn({
             let said = said.clone();

@@ -3,12 +3,11 @@
 use std::sync::Arc;
 
 use realo_schemas::geometry::View;
-use realo_schemas::{AgentState, Boxes, Name, Nanos, PointCloud, PoseStatus, SAME_STAMP};
+use realo_schemas::{AgentState, Boxes, Name, Nanos, PointCloud, PoseStatus, SAME_STAMP, body_frame};
 
 use super::nanos;
 use crate::cdr::CdrReader;
 use crate::frames::bare;
-use crate::log_writer::body;
 use crate::mcap_file::RawMessage;
 use crate::packets::{self, SentPacket};
 use crate::stamps::stamp_of;
@@ -109,7 +108,7 @@ impl Entry {
     /// # Errors
     /// Bytes that are no such message; another frame than the agent's body.
     pub fn boxes(&self) -> Result<Boxes, LogError> {
-        self.in_frame(&body(&self.agent))
+        self.in_frame(&body_frame(&self.agent))
             .and_then(|()| boxes::decode_with(self.data(), |id| self.context.track(id)))
             .map(|(_, boxes)| boxes)
             .map_err(|reason| self.bad(reason))
@@ -130,7 +129,7 @@ impl Entry {
     /// # Errors
     /// Bytes that are no such message; another frame than the agent's body; numbers that are no view.
     pub fn views(&self) -> Result<Vec<View>, LogError> {
-        self.in_frame(&body(&self.agent))
+        self.in_frame(&body_frame(&self.agent))
             .and_then(|()| views::decode(self.data()))
             .map(|(_, views)| views)
             .map_err(|reason| self.bad(reason))

@@ -132,21 +132,7 @@ impl Sheet {
                 });
             }
         });
-        let offsets = base + summary.len() as u64;
-        for (opcode, start, length) in groups {
-            record(&mut summary, op::SUMMARY_OFFSET, |out| {
-                out.push(opcode);
-                out.extend(start.to_le_bytes());
-                out.extend(length.to_le_bytes());
-            });
-        }
-        // The footer's checksum covers itself up to the checksum.
-        summary.push(op::FOOTER);
-        summary.extend(20u64.to_le_bytes());
-        summary.extend(base.to_le_bytes());
-        summary.extend(offsets.to_le_bytes());
-        summary.extend(crc32fast::hash(&summary).to_le_bytes());
-        summary.extend(MAGIC);
+        finish_summary(&mut summary, base, &groups);
         end.extend(summary);
         self.put(&end);
     }
@@ -176,4 +162,23 @@ impl Sheet {
             }
         });
     }
+}
+
+/// Writes where the groups of the summary are (opcode, place, bytes), and the footer; the summary lies at `base`.
+fn finish_summary(summary: &mut Vec<u8>, base: u64, groups: &[(u8, u64, u64)]) {
+    let offsets = base + summary.len() as u64;
+    for (opcode, start, length) in groups {
+        record(summary, op::SUMMARY_OFFSET, |out| {
+            out.push(*opcode);
+            out.extend(start.to_le_bytes());
+            out.extend(length.to_le_bytes());
+        });
+    }
+    // The footer's checksum covers itself up to the checksum.
+    summary.push(op::FOOTER);
+    summary.extend(20u64.to_le_bytes());
+    summary.extend(base.to_le_bytes());
+    summary.extend(offsets.to_le_bytes());
+    summary.extend(crc32fast::hash(summary).to_le_bytes());
+    summary.extend(MAGIC);
 }

@@ -176,11 +176,7 @@ fn box_of(object: &PerceivedObject) -> Option<(Box3, bool)> {
     let class = class_of(object);
     let walks = class.is_some_and(|(class, _)| classes::walks(class));
     let name = class.map_or(classes::UNKNOWN, |(class, _)| classes::name_of(class));
-    let height = known_height.unwrap_or(match name {
-        "truck" | "Bus" | "Tram" => 3.0,
-        _ if walks => 1.7,
-        _ => 1.5,
-    });
+    let height = known_height.unwrap_or_else(|| usual_height(name, walks));
     let known_z = position.z_coordinate.as_ref().and_then(metres);
     let velocity = object.velocity.as_ref().and_then(velocity_of);
 
@@ -190,14 +186,7 @@ fn box_of(object: &PerceivedObject) -> Option<(Box3, bool)> {
     let course = moving.map(|velocity| libm::atan2(velocity.y, velocity.x));
     let yaw = known_yaw.or(course).or(walks.then_some(0.0))?;
 
-    let quality = object.object_perception_quality.as_ref().map(|quality| quality.0);
-    // 0: there is none, or it could not be computed.
-    let quality = quality
-        .filter(|quality| *quality > 0)
-        .map(|quality| f32::from(quality) / 15.0);
-    let known_score = class
-        .and_then(|(_, percent)| percent)
-        .map(|percent| f32::from(percent) / 100.0);
+    let known_score = score_of(object, class.and_then(|(_, percent)| percent));
 
     // Where it was, or will be, at the reference time.
     let moved = velocity.unwrap_or_default() * (-f64::from(delta) / 1000.0);
@@ -220,16 +209,31 @@ fn box_of(object: &PerceivedObject) -> Option<(Box3, bool)> {
         yaw,
         velocity: velocity.map(Into::into),
         class: name.into(),
-        score: known_score.or(quality).unwrap_or(SCORE),
+        score: known_score.unwrap_or(SCORE),
         track: id.map(|id| id.0.into()),
         covariance: diagonal(variances),
     };
-    let knows_all = known_height.is_some()
-        && known_z.is_some()
-        && known_yaw.is_some()
-        && class.is_some()
-        && (known_score.is_some() || quality.is_some());
+    let knows_all =
+        known_height.is_some() && known_z.is_some() && known_yaw.is_some() && class.is_some() && known_score.is_some();
     Some((found, !knows_all))
+}
+
+/// Height of an object of which none is said, m.
+fn usual_height(class: &str, walks: bool) -> f64 {
+    match class {
+        "truck" | "Bus" | "Tram" => 3.0,
+        _ if walks => 1.7,
+        _ => 1.5,
+    }
+}
+
+/// How sure the sender is of an object: of its class, else of its being there.
+fn score_of(object: &PerceivedObject, class_percent: Option<u8>) -> Option<f32> {
+    let of_class = class_percent.map(|percent| f32::from(percent) / 100.0);
+    let quality = object.object_perception_quality.as_ref().map(|quality| quality.0);
+    // 0: there is none, or it could not be computed.
+    let quality = quality.filter(|quality| *quality > 0);
+    of_class.or(quality.map(|quality| f32::from(quality) / 15.0))
 }
 
 /// The surest class, the first of equals, and its confidence in per cent where it is known.

@@ -22,7 +22,7 @@ use c_its_parser::standards::cpm_2_1_1::cpm_perceived_object_container::{Perceiv
 use nalgebra::Isometry3;
 use rasn::types::Any;
 use realo_schemas::geometry::{is_valid, transform_box, yaw_of};
-use realo_schemas::{Box3, Boxes, Header, Name};
+use realo_schemas::{Box3, Boxes, Header, Name, body_frame};
 
 use super::station::{id_of, station_of};
 use super::units::{CENTI, PLACE_DEG, angle, coordinate, dimension, tenths_of_degree, velocity};
@@ -97,7 +97,7 @@ impl Writer {
             let container = OriginatingRsuContainer::new(None);
             return wrapped(ORIGINATING_RSU_CONTAINER, &container).map(Some);
         }
-        if header.frame.strip_suffix("/body") != Some(&*header.agent) {
+        if header.frame != body_frame(&header.agent) {
             return Ok(None);
         }
         // Clockwise from north, while a yaw counts from east to north.

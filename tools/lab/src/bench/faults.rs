@@ -5,12 +5,13 @@ use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
 use std::process::{Child, Command, Stdio};
 use std::sync::atomic::{AtomicBool, Ordering::Relaxed};
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use eyre::{Result, WrapErr, bail, eyre};
 use linkemu::{ADDRESSES, Ground, Link, Machines};
 use realo_cli::program::beside;
 use realo_cli::{Outcome, Progress};
+use realo_clock::wall;
 use realo_results::{Fates, read_run};
 use realo_schemas::{Kind, Nanos, from_seconds};
 use serde::Serialize;
@@ -542,11 +543,6 @@ fn play(stage: &Stage, link: &Link) -> Result<()> {
         bail!("the vehicle's run ended with {status}: {}", said.trim());
     }
     Ok(())
-}
-
-fn wall() -> Nanos {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH);
-    since.map_or(0, |since| since.as_nanos() as Nanos)
 }
 
 fn wait_until(at: Nanos) {

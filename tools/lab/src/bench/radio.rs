@@ -7,14 +7,14 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 use std::sync::Arc;
 use std::sync::mpsc::channel;
-use std::time::{Duration, Instant, SystemTime, UNIX_EPOCH};
+use std::time::{Duration, Instant};
 
 use clap::ValueEnum;
 use eyre::{Result, WrapErr, bail, eyre};
 use linkemu::{ADDRESSES, Ground, Link, Machines, Relay};
 use realo_cli::{Outcome, Progress};
+use realo_clock::{steady, wall};
 use realo_operator::Waker;
-use realo_radio::clock::steady;
 use realo_radio::network::Network;
 use realo_radio::protocol::{Offer, Settings};
 use realo_radio::session::Place;
@@ -390,11 +390,6 @@ fn message(bytes: usize) -> Vec<u8> {
 
 fn given(bytes: &[u8]) -> Nanos {
     bytes.first_chunk().map_or(0, |first| Nanos::from_le_bytes(*first))
-}
-
-fn wall() -> Nanos {
-    let since = SystemTime::now().duration_since(UNIX_EPOCH);
-    since.map_or(0, |since| since.as_nanos() as Nanos)
 }
 
 /// Calls ten times a second, with the number of the call.

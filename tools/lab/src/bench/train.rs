@@ -1,5 +1,5 @@
 use std::fmt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use eyre::Result;
 use realo_cli::Progress;
@@ -60,33 +60,7 @@ pub fn bench(python: Option<&Path>, shown: &Progress) -> Result<Train> {
         let output = folder.join(format!("train_{round}"));
         // A checkpoint of an earlier bench would be gone on from, or refused.
         let _ = std::fs::remove_dir_all(&output);
-        let options = TrainOptions {
-            model: MODEL.into(),
-            from: None,
-            output,
-            resume: false,
-            data: Data::Simulated {
-                cache: cache.clone(),
-                seeds: SEEDS,
-                per_seed: 1,
-            },
-            steps: STEPS,
-            minutes: None,
-            fit_steps: false,
-            seed: 0,
-            batch: BATCH,
-            frozen_norms: false,
-            parts: 0.0,
-            checkpoint_minutes: 60.0,
-            validate_every: None,
-            compare: false,
-            validation: None,
-            optimizer: OptimizerSettings::default(),
-            augmentation: Augmentation::default(),
-            threads: None,
-            arithmetic: None,
-        };
-        train(&options, |progress| {
+        train(&options(&cache, output), |progress| {
             shown.add(1.0);
             if progress.point.step >= WARM_UP {
                 ours.push(progress.point.seconds);
@@ -115,6 +89,36 @@ pub fn bench(python: Option<&Path>, shown: &Progress) -> Result<Train> {
         median,
         peer,
     })
+}
+
+/// A turn's training, which begins anew and neither validates nor keeps what it has until its end.
+fn options(cache: &Path, output: PathBuf) -> TrainOptions {
+    TrainOptions {
+        model: MODEL.into(),
+        from: None,
+        output,
+        resume: false,
+        data: Data::Simulated {
+            cache: cache.into(),
+            seeds: SEEDS,
+            per_seed: 1,
+        },
+        steps: STEPS,
+        minutes: None,
+        fit_steps: false,
+        seed: 0,
+        batch: BATCH,
+        frozen_norms: false,
+        parts: 0.0,
+        checkpoint_minutes: 60.0,
+        validate_every: None,
+        compare: false,
+        validation: None,
+        optimizer: OptimizerSettings::default(),
+        augmentation: Augmentation::default(),
+        threads: None,
+        arithmetic: None,
+    }
 }
 
 fn peer(python: &Path, threads: usize) -> Result<Peer> {

@@ -2,7 +2,7 @@ use std::fmt;
 
 use eyre::{Result, bail, eyre};
 use realo_cli::Progress;
-use realo_host::running_time;
+use realo_clock::steady;
 use realo_operator::{Operator, Outputs, PortId, Steps};
 use realo_pillar_encoder::PillarEncoder;
 use realo_radio::keys::Own;
@@ -92,9 +92,9 @@ pub fn bench(progress: &Progress) -> Result<Transmission> {
     let mut times = Vec::new();
     let mut sent = None;
     for _ in 0..ROUNDS {
-        let begun = running_time();
+        let begun = steady();
         sent = Some(map_of(&mut encoder, sweep.clone())?);
-        times.push((running_time() - begun) as f64 / 1e6);
+        times.push((steady() - begun) as f64 / 1e6);
     }
     let sent = sent.ok_or_else(|| eyre!("no round"))?;
     let map = feature_map(&sent)?;
@@ -144,12 +144,12 @@ fn seal() -> Result<SealCost> {
     let (part, name) = (vec![7; 16_384], "cav1".into());
     let (mut sign, mut check) = (Vec::new(), Vec::new());
     for _ in 0..ROUNDS {
-        let begun = running_time();
+        let begun = steady();
         let sealed = seal.close("cav1", Topic::Bulk, &part, 0);
-        sign.push((running_time() - begun) as f64 / 1e6);
-        let begun = running_time();
+        sign.push((steady() - begun) as f64 / 1e6);
+        let begun = steady();
         let opened = seal.open(&name, Topic::Bulk, &sealed, 0);
-        check.push((running_time() - begun) as f64 / 1e6);
+        check.push((steady() - begun) as f64 / 1e6);
         if opened.is_err() {
             bail!("a frame that was just signed is refused");
         }
@@ -292,10 +292,10 @@ struct Rounds {
 impl Rounds {
     fn time<T>(&mut self, work: impl FnOnce(&mut Steps) -> T) -> T {
         let millis = |nanos: Nanos| nanos as f64 / 1e6;
-        let mut steps = Steps::timed_by(running_time);
-        let begun = running_time();
+        let mut steps = Steps::timed_by(steady);
+        let begun = steady();
         let done = work(&mut steps);
-        self.whole.push(millis(running_time() - begun));
+        self.whole.push(millis(steady() - begun));
         for (step, took) in steps.take() {
             match self.steps.iter_mut().find(|(known, _)| *known == step) {
                 Some((_, times)) => times.push(millis(took)),

@@ -495,6 +495,12 @@ impl Decisions<'_> {
         if self.args.offline {
             links_of_offline(&mut graph, set)?;
         }
+        let settings = self.settings(&graph, set)?;
+        Ok((graph, settings))
+    }
+
+    /// The settings of this run as its results name them.
+    fn settings(&self, graph: &FlatGraph, set: &[Setting]) -> Result<Settings> {
         let mut projecting = graph.clone();
         projecting.nodes.retain(can_project);
         let mut changes: BTreeMap<String, String> = set.iter().map(change_in_words).collect();
@@ -508,17 +514,17 @@ impl Decisions<'_> {
         } else {
             self.mode.as_str()
         };
-        let settings = Settings {
+        Ok(Settings {
             graph: self.graph.into(),
             mode: mode.into(),
             coop: self.coop.into(),
             ego: self.ego.into(),
-            link: values(&graph, roles::LINK, named::link),
+            link: values(graph, roles::LINK, named::link),
             compute: self.args.compute.as_deref().map(named::profile).unwrap_or_default(),
-            seed: values(&graph, roles::SEED, str::to_string),
+            seed: values(graph, roles::SEED, str::to_string),
             project: values(&projecting, roles::PROJECT, str::to_string),
             set: changes.join(", "),
-            programs: named::programs(&graph),
+            programs: named::programs(graph),
             rate: self
                 .args
                 .rate
@@ -526,8 +532,7 @@ impl Decisions<'_> {
                 .map(|rate| rate.to_string())
                 .unwrap_or_default(),
             ..Settings::default()
-        };
-        Ok((graph, settings))
+        })
     }
 
     fn of_run(&self) -> Vec<(&'static str, String)> {

@@ -98,6 +98,45 @@ pub(crate) fn check_frames_suit(model: &Model) -> Result<(), TrainError> {
     })
 }
 
+/// What must not change between the parts of a training.
+fn plan(options: &TrainOptions, model: &Model, data: &str, from: Option<String>) -> TrainingPlan {
+    TrainingPlan {
+        model: model.clone(),
+        seed: options.seed,
+        batch: options.batch,
+        steps: options.steps,
+        frozen_norms: options.frozen_norms,
+        parts: options.parts,
+        optimizer: options.optimizer,
+        augmentation: options.augmentation.clone(),
+        data: data.into(),
+        from,
+    }
+}
+
+/// What batches are made of; every frame is used as often as the others.
+fn recipe(
+    options: &TrainOptions,
+    model: &Model,
+    frames: &Arc<dyn Frames>,
+    supply: Supply,
+    maps: Option<MapEncoder>,
+) -> Recipe {
+    let samples = options.steps * options.batch as u64;
+    Recipe {
+        frames: frames.clone(),
+        model: model.clone(),
+        augmentation: options.augmentation.clone(),
+        seed: options.seed,
+        batch: options.batch,
+        uses: samples.div_ceil(frames.len() as u64).max(1),
+        parts: options.parts,
+        whole_from: options.steps - options.steps / WHOLE,
+        supply: Arc::new(Mutex::new(supply)),
+        encoder: maps.map(|maps| Arc::new(Mutex::new(maps))),
+    }
+}
+
 impl<'a> Training<'a> {
     /// Reads or makes all that it needs; the observer hears what is left out.
     pub fn new(options: &'a TrainOptions, observer: &mut Observer) -> Result<Self, TrainError> {
@@ -115,18 +154,8 @@ impl<'a> Training<'a> {
         let source = Source::open(&options.data, learns_to_fuse(&model))?;
         let validation = Scored::of(options, &source.frames)?;
         say_left_out(&source.frames, &validation, observer);
-        let plan = TrainingPlan {
-            model: model.clone(),
-            seed: options.seed,
-            batch: options.batch,
-            steps: options.steps,
-            frozen_norms: options.frozen_norms,
-            parts: options.parts,
-            optimizer: options.optimizer,
-            augmentation: options.augmentation.clone(),
-            data: source.name.clone(),
-            from: start.as_ref().map(|start| start.identity.clone()),
-        };
+        let from = start.as_ref().map(|start| start.identity.clone());
+        let plan = plan(options, &model, &source.name, from);
         let lock = lock(&options.output)?;
         let weights = start.as_ref().map(|start| &*start.weights);
         let mut state = state(options, &model, weights, plan, &checkpoint)?;
@@ -136,21 +165,7 @@ impl<'a> Training<'a> {
             true => Some(MapEncoder::new(&model, &state.network.weights()?, 1)?),
             false => None,
         };
-        // Every frame is used as often as the others.
-        let samples = options.steps * options.batch as u64;
-        let uses = samples.div_ceil(source.frames.len() as u64).max(1);
-        let recipe = Recipe {
-            frames: source.frames.clone(),
-            model: model.clone(),
-            augmentation: options.augmentation.clone(),
-            seed: options.seed,
-            batch: options.batch,
-            uses,
-            parts: options.parts,
-            whole_from: options.steps - options.steps / WHOLE,
-            supply: Arc::new(Mutex::new(state.supply.clone())),
-            encoder: maps.map(|maps| Arc::new(Mutex::new(maps))),
-        };
+        let recipe = recipe(options, &model, &source.frames, state.supply.clone(), maps);
         let mut filling = Filling::default();
         filling
             .threads

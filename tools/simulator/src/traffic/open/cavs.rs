@@ -38,6 +38,15 @@ pub(super) fn choose(
     best.map(|(_, traffic_seed, numbers)| (traffic_seed, numbers))
 }
 
+/// A car that could record.
+struct Candidate<'a> {
+    vehicle: &'a Driven,
+    /// Where it is at each look.
+    poses: Vec<Pose2>,
+    /// How much of the world it shows.
+    worth: f64,
+}
+
 /// The two cars that go best together, the one that shows more first, and how well.
 fn best_pair(
     place: &Scenery,
@@ -47,68 +56,68 @@ fn best_pair(
     horizon: f64,
 ) -> Option<(f64, [u64; 2])> {
     const TOGETHER: f64 = 65.0;
-    /// What it is worth if all others stand askew to a car.
-    const ASKEW: f64 = 0.5;
     let (rsu, _) = place.roadside(false);
     let near = network.mix.near;
-    let times: Vec<f64> = (0..=20).map(|k| horizon * f64::from(k) / 20.0).collect();
-    let track = |vehicle: &Driven| -> Option<Vec<Pose2>> {
-        let motion = &vehicle.motion;
-        // Poses are asked for a little before the first and after the last sweep.
-        motion.at(-0.3)?;
-        motion.at(horizon + MARGIN - TICK)?;
-        times.iter().map(|t| motion.at(*t).map(|state| state.pose)).collect()
-    };
-    // What moves and turns shows more of the world than what stands.
-    let worth = |poses: &[Pose2]| {
-        let steps = poses.windows(2).map(|p| {
-            let (dx, dy) = (p[1].x - p[0].x, p[1].y - p[0].y);
-            (
-                (dx * dx + dy * dy).sqrt(),
-                angle_within(p[1].heading - p[0].heading).abs(),
-            )
-        });
-        let (gone, turned) = steps.fold((0.0, 0.0), |sum, step| (sum.0 + step.0, sum.1 + step.1));
-        0.02 * (gone / horizon).min(6.0) + 0.06 * f64::min(turned, 1.5)
-    };
-    let around = Around::new(driven, parked, &times);
-    let candidates: Vec<(&Driven, Vec<Pose2>, f64)> = driven
-        .iter()
-        .filter(|vehicle| vehicle.class == Class::Car)
-        .filter_map(|vehicle| {
-            let poses = track(vehicle)?;
-            let worth = worth(&poses) + ASKEW * around.askew(&poses);
-            Some((vehicle, poses, worth))
-        })
-        .collect();
-    let within = |a: &Pose2, b: &Pose2, reach: f64| {
-        let (dx, dy) = (a.x - b.x, a.y - b.y);
-        dx * dx + dy * dy < reach * reach
+    let candidates = candidates(parked, driven, horizon);
+    let together = |a: &Candidate, b: &Candidate| {
+        let looks = a.poses.iter().zip(&b.poses);
+        let together = looks
+            .filter(|(p, q)| within(p, q, TOGETHER) && within(p, &rsu, near) && within(q, &rsu, near))
+            .count();
+        together as f64 / a.poses.len() as f64
     };
     let mut best: Option<(f64, [u64; 2])> = None;
-    for (i, (first, a, worth_a)) in candidates.iter().enumerate() {
-        for (second, b, worth_b) in &candidates[i + 1..] {
-            if first.came_by == second.came_by {
+    for (i, a) in candidates.iter().enumerate() {
+        for b in &candidates[i + 1..] {
+            if a.vehicle.came_by == b.vehicle.came_by {
                 continue;
             }
-            let together = (0..times.len())
-                .filter(|k| {
-                    let (p, q) = (&a[*k], &b[*k]);
-                    within(p, q, TOGETHER) && within(p, &rsu, near) && within(q, &rsu, near)
-                })
-                .count();
-            let score = together as f64 / times.len() as f64 + worth_a + worth_b;
+            let score = together(a, b) + a.worth + b.worth;
             if best.is_none_or(|(min, _)| score > min) {
-                let [worthier, other] = if worth_a < worth_b {
-                    [second, first]
-                } else {
-                    [first, second]
-                };
-                best = Some((score, [worthier.number, other.number]));
+                let [worthier, other] = if a.worth < b.worth { [b, a] } else { [a, b] };
+                best = Some((score, [worthier.vehicle.number, other.vehicle.number]));
             }
         }
     }
     best
+}
+
+/// The cars that are there from the first sweep to the last.
+fn candidates<'a>(parked: &[Standing], driven: &'a [Driven], horizon: f64) -> Vec<Candidate<'a>> {
+    /// What it is worth if all others stand askew to a car.
+    const ASKEW: f64 = 0.5;
+    let times: Vec<f64> = (0..=20).map(|k| horizon * f64::from(k) / 20.0).collect();
+    let around = Around::new(driven, parked, &times);
+    let cars = driven.iter().filter(|vehicle| vehicle.class == Class::Car);
+    let candidates = cars.filter_map(|vehicle| {
+        let motion = &vehicle.motion;
+        // Poses are asked for a little before the first and after the last sweep.
+        motion.at(-0.3)?;
+        motion.at(horizon + MARGIN - TICK)?;
+        let poses: Option<Vec<Pose2>> = times.iter().map(|t| motion.at(*t).map(|state| state.pose)).collect();
+        let poses = poses?;
+        let worth = liveliness(&poses, horizon) + ASKEW * around.askew(&poses);
+        Some(Candidate { vehicle, poses, worth })
+    });
+    candidates.collect()
+}
+
+/// What moves and turns shows more of the world than what stands.
+fn liveliness(poses: &[Pose2], horizon: f64) -> f64 {
+    let steps = poses.windows(2).map(|p| {
+        let (dx, dy) = (p[1].x - p[0].x, p[1].y - p[0].y);
+        (
+            (dx * dx + dy * dy).sqrt(),
+            angle_within(p[1].heading - p[0].heading).abs(),
+        )
+    });
+    let (gone, turned) = steps.fold((0.0, 0.0), |sum, step| (sum.0 + step.0, sum.1 + step.1));
+    0.02 * (gone / horizon).min(6.0) + 0.06 * f64::min(turned, 1.5)
+}
+
+fn within(a: &Pose2, b: &Pose2, reach: f64) -> bool {
+    let (dx, dy) = (a.x - b.x, a.y - b.y);
+    dx * dx + dy * dy < reach * reach
 }
 
 /// Where vehicles are at some of the looks at a pair of cars.

@@ -3,7 +3,7 @@
 use super::vehicle::{Leg, Occupant};
 use super::{Flow, project};
 use crate::bodies::Class;
-use crate::path::Pose2;
+use crate::path::{Path, Pose2};
 
 impl<'a> Flow<'a> {
     /// Changes of lane, one vehicle after the other; each is asked once a second.
@@ -85,39 +85,11 @@ impl<'a> Flow<'a> {
 
     /// Puts a vehicle's way over to another lane.
     fn change(&mut self, i: usize, leg: Leg, target: usize, length: f64, t: f64) {
-        const STEPS: usize = 12;
-        let (old, new) = (self.lane(leg.lane), self.lane(target));
+        let new = self.lane(target);
         let own = &self.vehicles[i];
         let at = leg.lane_at(own.s);
-        let aside = |s: f64, guess: f64| {
-            let pose = old.path.at(s).0;
-            let there = project(&new.path, pose, guess);
-            (pose, there)
-        };
-        let (_, begin) = aside(at, at);
-        let point = |u: f64| {
-            let (pose, there) = aside(at + u * length, begin + u * length);
-            let other = new.path.at(there).0;
-            let w = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u);
-            (
-                [pose.x + w * (other.x - pose.x), pose.y + w * (other.y - pose.y)],
-                there,
-            )
-        };
         let mut path = own.path.part(0.0, own.s);
-        for k in 1..=STEPS {
-            let u = k as f64 / STEPS as f64;
-            let ([x, y], there) = point(u);
-            let heading = if k == STEPS {
-                new.path.at(there).0.heading
-            } else {
-                let ([x0, y0], _) = point(u - 0.01);
-                let ([x1, y1], _) = point(u + 0.01);
-                libm::atan2(y1 - y0, x1 - x0)
-            };
-            path.reach(Pose2 { x, y, heading });
-        }
-        let (_, end) = point(1.0);
+        let [begin, end] = cross_over(&mut path, [&self.lane(leg.lane).path, &new.path], at, length);
         let rest = new.path.length();
         let [from, over] = [own.s, path.length()];
         path.append(&new.path.part(end, rest));
@@ -153,4 +125,37 @@ impl<'a> Flow<'a> {
         self.vehicles.swap(i, last);
         self.register();
     }
+}
+
+/// Leads a way from one lane over to another, smoothly, from `at` on the old one within a length of it; gives where on the
+/// new lane it begins and ends.
+fn cross_over(way: &mut Path, [old, new]: [&Path; 2], at: f64, length: f64) -> [f64; 2] {
+    const STEPS: usize = 12;
+    let aside = |s: f64, guess: f64| {
+        let pose = old.at(s).0;
+        (pose, project(new, pose, guess))
+    };
+    let (_, begin) = aside(at, at);
+    let point = |u: f64| {
+        let (pose, there) = aside(at + u * length, begin + u * length);
+        let other = new.at(there).0;
+        let w = u * u * u * (10.0 - 15.0 * u + 6.0 * u * u);
+        (
+            [pose.x + w * (other.x - pose.x), pose.y + w * (other.y - pose.y)],
+            there,
+        )
+    };
+    for k in 1..=STEPS {
+        let u = k as f64 / STEPS as f64;
+        let ([x, y], there) = point(u);
+        let heading = if k == STEPS {
+            new.at(there).0.heading
+        } else {
+            let ([x0, y0], _) = point(u - 0.01);
+            let ([x1, y1], _) = point(u + 0.01);
+            libm::atan2(y1 - y0, x1 - x0)
+        };
+        way.reach(Pose2 { x, y, heading });
+    }
+    [begin, point(1.0).1]
 }

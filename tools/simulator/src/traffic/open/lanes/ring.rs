@@ -7,6 +7,52 @@ use super::{Kind, Lanes, Mouth, lane};
 use crate::path::{Path, Pose2};
 use crate::place::Node;
 
+/// Speed limit on the ring, m/s.
+const LIMIT: f64 = 7.5;
+
+/// The line on which one drives around.
+struct Circle {
+    middle: [f64; 2],
+    radius: f64,
+}
+
+impl Circle {
+    fn pose(&self, angle: f64) -> Pose2 {
+        let (sin, cos) = libm::sincos(angle);
+        Pose2 {
+            x: self.middle[0] + self.radius * cos,
+            y: self.middle[1] + self.radius * sin,
+            heading: angle + FRAC_PI_2,
+        }
+    }
+
+    fn arc(&self, from: f64, to: f64) -> Path {
+        let mut path = Path::from_pose(self.pose(from));
+        path.arc(self.radius, (to - from).rem_euclid(2.0 * PI));
+        path
+    }
+}
+
+/// How far before and behind an arm one leaves and joins the ring, rad.
+fn beside(node: &Node) -> f64 {
+    let count = node.arms.len();
+    let gaps = (0..count).map(|k| {
+        let next = node.arms[(k + 1) % count].heading;
+        (next - node.arms[k].heading).rem_euclid(2.0 * PI)
+    });
+    (0.5 * gaps.fold(PI, f64::min) - 0.12).min(0.5)
+}
+
+fn bend(arm: usize, ring: bool) -> Bend {
+    Bend {
+        arm,
+        to: arm,
+        angle: 0.0,
+        cycle: false,
+        ring,
+    }
+}
+
 impl Lanes {
     /// The ring of a roundabout, its entries and exits.
     pub(super) fn ring(
@@ -17,73 +63,49 @@ impl Lanes {
         radius: f64,
         bends: &mut Vec<Bend>,
     ) {
-        const LIMIT: f64 = 7.5;
-        let on_ring = |angle: f64| {
-            let (sin, cos) = libm::sincos(angle);
-            Pose2 {
-                x: node.at[0] + radius * cos,
-                y: node.at[1] + radius * sin,
-                heading: angle + FRAC_PI_2,
-            }
+        let circle = Circle {
+            middle: node.at,
+            radius,
         };
+        let beside = beside(node);
+        let between = self.between_arms(node, &circle, beside, bends);
         let count = node.arms.len();
-        let arc = |from: f64, to: f64| {
-            let mut path = Path::from_pose(on_ring(from));
-            path.arc(radius, (to - from).rem_euclid(2.0 * PI));
-            path
-        };
-        // How far before and behind an arm one leaves and joins the ring, rad.
-        let gaps = (0..count).map(|k| {
-            let next = node.arms[(k + 1) % count].heading;
-            (next - node.arms[k].heading).rem_euclid(2.0 * PI)
-        });
-        let beside = (0.5 * gaps.fold(PI, f64::min) - 0.12).min(0.5);
-        // Stretches between arms are plain lanes; those past an arm are turns, because entries join behind them.
-        let between: Vec<usize> = (0..count)
-            .map(|k| {
-                let from = node.arms[k].heading + beside;
-                let to = node.arms[(k + 1) % count].heading - beside;
-                let mut piece = lane(arc(from, to), Kind::Drive, LIMIT);
-                piece.outer = false;
-                self.lanes.push(piece);
-                bends.push(Bend {
-                    arm: k,
-                    to: k,
-                    angle: 0.0,
-                    cycle: false,
-                    ring: true,
-                });
-                self.lanes.len() - 1
-            })
-            .collect();
-        for k in 0..count {
+        for (k, [entries, exits]) in mouths.iter().enumerate() {
             let heading = node.arms[k].heading;
-            let before = between[(k + count - 1) % count];
-            let past = arc(heading - beside, heading + beside);
-            self.turn(number, k, past, LIMIT, before, between[k], 0.55);
-            let ring = |ring: bool| Bend {
-                arm: k,
-                to: k,
-                angle: 0.0,
-                cycle: false,
-                ring,
-            };
-            bends.push(ring(true));
-            for from in &mouths[k][0] {
+            let (before, behind) = (between[(k + count - 1) % count], between[k]);
+            let past = circle.arc(heading - beside, heading + beside);
+            self.turn(number, k, past, LIMIT, before, behind, 0.55);
+            bends.push(bend(k, true));
+            for from in entries {
                 let start = &self.lanes[from.lane].path;
-                let path = turn_path(start.at(start.length()).0, on_ring(heading + beside), f64::INFINITY);
-                self.turn(number, k, path, LIMIT, from.lane, between[k], 1.0);
-                bends.push(ring(false));
+                let start = start.at(start.length()).0;
+                let path = turn_path(start, circle.pose(heading + beside), f64::INFINITY);
+                self.turn(number, k, path, LIMIT, from.lane, behind, 1.0);
+                bends.push(bend(k, false));
             }
-            for to in &mouths[k][1] {
-                let path = turn_path(
-                    on_ring(heading - beside),
-                    self.lanes[to.lane].path.at(0.0).0,
-                    f64::INFINITY,
-                );
+            for to in exits {
+                let end = self.lanes[to.lane].path.at(0.0).0;
+                let path = turn_path(circle.pose(heading - beside), end, f64::INFINITY);
                 self.turn(number, k, path, LIMIT, before, to.lane, 0.45);
-                bends.push(ring(true));
+                bends.push(bend(k, true));
             }
         }
+    }
+
+    /// The stretches of the ring between arms, by the arm before each: plain lanes. Those past an arm are turns, because
+    /// entries join behind them.
+    fn between_arms(&mut self, node: &Node, circle: &Circle, beside: f64, bends: &mut Vec<Bend>) -> Vec<usize> {
+        let count = node.arms.len();
+        let mut between = Vec::new();
+        for k in 0..count {
+            let from = node.arms[k].heading + beside;
+            let to = node.arms[(k + 1) % count].heading - beside;
+            let mut piece = lane(circle.arc(from, to), Kind::Drive, LIMIT);
+            piece.outer = false;
+            between.push(self.lanes.len());
+            self.lanes.push(piece);
+            bends.push(bend(k, true));
+        }
+        between
     }
 }

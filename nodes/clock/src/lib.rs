@@ -1,17 +1,19 @@
 //! What time it is on this machine, and how sure the machine is of it.
+//!
+//! Drivers and gateways read clocks; operators are told what time it is.
 
-use std::sync::OnceLock;
+use std::sync::LazyLock;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 use realo_schemas::Nanos;
 
-/// Time on a clock that never steps.
+/// Time since the process asked first, ns, on a clock that never steps.
 pub fn steady() -> Nanos {
-    static BEGUN: OnceLock<Instant> = OnceLock::new();
-    BEGUN.get_or_init(Instant::now).elapsed().as_nanos() as Nanos
+    static BEGUN: LazyLock<Instant> = LazyLock::new(Instant::now);
+    BEGUN.elapsed().as_nanos() as Nanos
 }
 
-/// Time on the machine's wall clock, ns since 1970.
+/// Time on the machine's wall clock, ns since 1970; it steps where the clock is set.
 pub fn wall() -> Nanos {
     let since = SystemTime::now().duration_since(UNIX_EPOCH);
     since.map_or(0, |since| since.as_nanos() as Nanos)
