@@ -4,10 +4,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use realo_operator::{Counter, Describe, Error, Gateway, Inputs, Outputs, Settings, Steps, Waker};
+use realo_operator::{Counter, Describe, Error, Gateway, Inputs, Outputs, Settings, Waker};
 use realo_schemas::report::{self, ClockBy, Fate, Peer, to_report};
-use realo_schemas::{AgentState, Header, Kind, Message, Name, Nanos, Packet, are_one_time_line, to_millis};
-use realo_transmission::{Encoder, EncoderSettings, restamped};
+use realo_schemas::{Header, Kind, Name, Nanos, Packet, are_one_time_line, to_millis};
 use serde::{Deserialize, Serialize};
 
 use crate::body;
@@ -76,8 +75,6 @@ pub struct Radio {
     settings: protocol::Settings,
     max_bytes: usize,
     seal: Option<Seal>,
-    /// Puts this agent's state into bytes.
-    encoder: Encoder,
     network: Option<Network>,
     /// What the network has refused so far.
     counted: Refusals,
@@ -98,7 +95,7 @@ pub enum Input {
     Packets(Header, Packet),
     /// Where this agent is, for all others.
     #[port(optional, of(Ego))]
-    State(Header, AgentState),
+    State(Header, Packet),
     /// The same moments in a fallback form, as features or boxes for points: of large kinds the richest goes that arrives in
     /// time.
     #[port(optional)]
@@ -159,7 +156,6 @@ impl Gateway for Radio {
             },
             max_bytes: settings.max_bytes,
             seal,
-            encoder: Encoder::new(&EncoderSettings::default())?,
             network: None,
             counted: Refusals::new(),
             overrun: 0,
@@ -180,16 +176,10 @@ impl Gateway for Radio {
     }
 
     fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
-        let (header, packet) = match input {
-            Input::Packets(header, packet) | Input::Fallback(header, packet) | Input::LastFallback(header, packet) => {
-                (header, packet)
-            }
-            Input::State(header, state) => {
-                let message = Message::new(header, state);
-                let (packet, _) = self.encoder.encode(&message, &mut Steps::default())?;
-                (message.header, packet)
-            }
-        };
+        let (Input::Packets(header, packet)
+        | Input::State(header, packet)
+        | Input::Fallback(header, packet)
+        | Input::LastFallback(header, packet)) = input;
         let Some(network) = &self.network else { return Ok(()) };
         network.set_time(out.now());
         if matches!(header.kind, Kind::Truth | Kind::Report) {
@@ -354,7 +344,7 @@ impl Radio {
         }
         let packet = match shift {
             0 => packet,
-            _ => restamped(&packet, stamp).ok_or(Refusal::Malformed)?,
+            _ => packet.moved(shift),
         };
         Ok((packet, stamp))
     }
