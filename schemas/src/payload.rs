@@ -196,7 +196,11 @@ impl Packet {
     /// The codecs that made the bytes, and how far the header's stamp was moved from the stamp that they say.
     pub fn origin(&self) -> (&[String], Nanos) {
         let by = |last: &String| last.strip_prefix(MOVED)?.parse().ok();
-        match self.codec.split_last().and_then(|(last, codec)| Some((codec, by(last)?))) {
+        match self
+            .codec
+            .split_last()
+            .and_then(|(last, codec)| Some((codec, by(last)?)))
+        {
             Some(moved) => moved,
             None => (&self.codec, 0),
         }

@@ -4,7 +4,7 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use realo_schemas::file::shown;
+use realo_documents::shown;
 use serde_yaml::Value;
 
 use super::read::{self, Module, Node, Part};

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::str::FromStr;
 
-use realo_schemas::file::shown;
+use realo_documents::shown;
 
 use super::flat::{STAGE, TAKES, set_argument};
 use super::{FlatGraph, FlatNode, GraphError, Input};

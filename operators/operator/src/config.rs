@@ -141,7 +141,7 @@ fn read_value(default: &Value, text: &str) -> Result<Value, String> {
 }
 
 fn read_yaml(text: &str) -> Result<Value, String> {
-    realo_schemas::file::yaml(text)
+    realo_documents::yaml(text)
 }
 
 #[cfg(test)]
