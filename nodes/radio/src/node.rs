@@ -21,7 +21,7 @@ use crate::protocol::{self, Arrived, Offer, is_bulk};
 use crate::refusal::{self, ALONE, NO_CLOCK, OVERRUN, OVERSIZED_FRAMES, Refusal, Refusals, UNSENT_BOXES};
 use crate::seal::Seal;
 use crate::session::{self, Place};
-use crate::station::{Event, MOST_BYTES, MOST_PEERS, Passed, Report, Station};
+use crate::station::{Event, MOST_BYTES, MOST_PEERS, MessageId, Report, Station};
 use crate::unheard;
 
 /// Bytes of boxes and states at most, which cross in one frame.
@@ -215,16 +215,16 @@ impl Gateway for Radio {
         let unheard = unheard::dropped();
         out.count(&OVERSIZED_FRAMES, "", unheard - self.unheard);
         self.unheard = unheard;
-        let passed = skipped(&taken.events);
-        for (event, is_passed) in taken.events.into_iter().zip(passed) {
+        let is_skipped = skipped(&taken.events);
+        for (event, is_skipped) in taken.events.into_iter().zip(is_skipped) {
             match event {
-                Event::Arrived(from, message, _) if is_passed => {
-                    self.take(Event::PassedOver(from, Passed::from(&message)), out);
+                Event::Arrived(from, message, _) if is_skipped => {
+                    self.take(Event::Skipped(from, MessageId::from(&message)), out);
                 }
                 event => {
                     let waited = match &event {
                         Event::Arrived(from, ..) => Some((from, 0)),
-                        Event::PassedOver(from, _) => Some((from, 1)),
+                        Event::Skipped(from, _) => Some((from, 1)),
                         Event::Books(..) => None,
                     };
                     if let Some((from, in_vain)) = waited {
@@ -271,8 +271,8 @@ impl Radio {
     fn take(&mut self, event: Event, out: &mut Outputs) {
         match event {
             Event::Arrived(from, message, clock) => self.deliver(&from, message, &clock, out),
-            Event::PassedOver(from, passed) => {
-                let header = self.header(&from, passed, out);
+            Event::Skipped(from, message) => {
+                let header = self.header(&from, message, out);
                 out.report(&header, Fate::Superseded);
             }
             Event::Books(from, News { traffic, fates }) => {
@@ -290,11 +290,11 @@ impl Radio {
 
     /// Gives a message of a peer to the graph, on this agent's time line.
     fn deliver(&mut self, from: &Name, message: Arrived, clock: &Estimate, out: &mut Outputs) {
-        let reported = Passed::from(&message);
+        let reported = MessageId::from(&message);
         match self.moved(from, &message, clock, out) {
             Ok((packet, stamp)) => {
                 let is_state = message.kind == Kind::AgentState;
-                let header = self.header(from, Passed { stamp, ..reported }, out);
+                let header = self.header(from, MessageId { stamp, ..reported }, out);
                 match is_state {
                     true => out.send(Output::States(header, packet)),
                     false => out.send(Output::ToEgo(header, packet)),
@@ -309,7 +309,7 @@ impl Radio {
         }
     }
 
-    fn header(&self, from: &Name, of: Passed, out: &Outputs) -> Header {
+    fn header(&self, from: &Name, of: MessageId, out: &Outputs) -> Header {
         Header {
             to: Some(self.place.agent.clone()),
             ..Header::origin(&Name::default(), from, of.kind, of.seq, of.stamp, out.now())
@@ -404,7 +404,7 @@ fn shift(clock: &Estimate) -> Option<Nanos> {
 /// their queues: what came before this agent's time began, or while its process stood still.
 fn skipped(events: &[Event]) -> Vec<bool> {
     let mut newer: BTreeMap<(&Name, Kind), usize> = BTreeMap::new();
-    let mut passed: Vec<bool> = events
+    let mut skipped: Vec<bool> = events
         .iter()
         .rev()
         .map(|event| match event {
@@ -413,11 +413,11 @@ fn skipped(events: &[Event]) -> Vec<bool> {
                 *newer += 1;
                 *newer > AT_ONCE
             }
-            Event::PassedOver(..) | Event::Books(..) => false,
+            Event::Skipped(..) | Event::Books(..) => false,
         })
         .collect();
-    passed.reverse();
-    passed
+    skipped.reverse();
+    skipped
 }
 
 fn check(settings: &Settings) -> Result<(), Error> {
@@ -536,12 +536,12 @@ mod tests {
         events.insert(3, Event::Books("rsu1".into(), News::default()));
         events.extend((0..AT_ONCE as u64).map(|seq| arrived("rsu1", Kind::AgentState, seq)));
         events.extend((0..AT_ONCE as u64).map(|seq| arrived("rsu2", Kind::Boxes, seq)));
-        let passed = skipped(&events);
-        let given = events.iter().zip(&passed).filter(|(_, passed)| !**passed);
+        let is_skipped = skipped(&events);
+        let given = events.iter().zip(&is_skipped).filter(|(_, is_skipped)| !**is_skipped);
         let given: Vec<String> = given
             .map(|(event, _)| match event {
                 Event::Arrived(from, message, _) => format!("{from} {} {}", message.kind, message.seq),
-                Event::PassedOver(from, _) => format!("{from} passed over"),
+                Event::Skipped(from, _) => format!("{from} skipped"),
                 Event::Books(from, _) => format!("{from} books"),
             })
             .collect();

@@ -195,14 +195,14 @@ fn a_header_that_contradicts_the_message_is_refused() {
 }
 
 #[test]
-fn another_map_is_refused_and_told() {
+fn another_map_is_refused_and_reported() {
     let (packet, _) = encode(&sender(), &[car()], &config(origin())).unwrap();
     let error = decode(&sender(), &packet, Geodetic::default()).unwrap_err().to_string();
     assert!(error.contains("km away") && error.contains("`origin`"), "{error}");
 }
 
 #[test]
-fn bytes_that_are_no_cpm_are_refused_and_told() {
+fn bytes_that_are_not_a_cpm_are_refused_and_reported() {
     let (packet, _) = encode(&sender(), &[car()], &config(origin())).unwrap();
     let refused = |change: &dyn Fn(&mut Vec<u8>)| {
         let mut bytes = packet.bytes.to_vec();
