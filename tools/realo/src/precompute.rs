@@ -11,7 +11,7 @@ use realo_host::{Stages, virtual_time};
 use realo_logs::{Log, LogCopy, Precomputed, SentPacket, Stream};
 use realo_schemas::{Header, Kind, Message, Name, Nanos, Packet, Payload};
 
-use crate::run::{self, Lane};
+use crate::run::{self, LaneRun};
 use crate::tables::Show;
 use crate::{demo, registry};
 
@@ -180,7 +180,7 @@ pub(crate) fn lane_args(graph: &Path, log: &Path, ego: &str, agents: &[String], 
 
 /// Runs the lane; gives all packets of the agents to `keep`.
 pub(crate) fn compute(
-    lane: &Lane,
+    lane: &LaneRun,
     agents: &[String],
     mut keep: impl FnMut(&Header, &Packet) -> Result<()>,
 ) -> Result<()> {
