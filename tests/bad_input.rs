@@ -257,7 +257,7 @@ fn what_cannot_be_fused_with_the_egos_data_is_rejected_in_the_books() {
 }
 
 #[test]
-fn a_link_that_is_not_told_where_the_agents_are_is_refused() {
+fn a_link_without_the_states_of_agents_is_refused() {
     for missing in ["ego_state", "states"] {
         let path = rewired("no_states", |flat| {
             let link = flat

@@ -122,7 +122,7 @@ fn covers_every_term<'a>(accounts: impl Iterator<Item = &'a (Account, Reached)>)
             .iter()
             .filter(|(stage, _)| !["link", "state-link", "bank"].contains(&&***stage))
         {
-            add(&format!("passed over by {stage}"), *count);
+            add(&format!("skipped by {stage}"), *count);
         }
     }
     println!("{totals:#?}");

@@ -74,7 +74,7 @@ fn a_file_that_realo_did_not_write_is_not_replaced() {
 }
 
 #[test]
-fn negative_numbers_are_told_the_range() {
+fn messages_about_negative_numbers_have_the_range() {
     let simulate = ["simulate", "-o", "unused.mcap"];
     for (args, expected) in [
         (

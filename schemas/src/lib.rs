@@ -1,11 +1,9 @@
 //! The vocabulary of realo: what the parts of a graph say to each other.
 //!
 //! A [`Message`] is a [`Header`] and a [`Payload`]; on the wire it is one row of an Arrow struct array ([`wire`]).
-//! [`geometry`] holds what follows from frames and boxes alone, and
-//! [`file`] reads what people write by hand. No other I/O, no dora, no networks.
+//! [`geometry`] holds what follows from frames and boxes alone. No I/O, no dora, no networks.
 
 pub mod feature_map;
-pub mod file;
 pub mod geometry;
 mod header;
 pub mod layout;

@@ -183,6 +183,30 @@ pub struct Packet {
     pub bytes: Buffer,
 }
 
+/// Begins the word behind a packet's codecs that [`Packet::moved`] adds.
+const MOVED: &str = "moved_ns=";
+
+impl Packet {
+    /// The packet where the stamp of its header was moved by so many ns, onto another time line; its bytes stay as they are.
+    pub fn moved(mut self, by: Nanos) -> Self {
+        self.codec.push(format!("{MOVED}{by}"));
+        self
+    }
+
+    /// The codecs that made the bytes, and how far the header's stamp was moved from the stamp that they say.
+    pub fn origin(&self) -> (&[String], Nanos) {
+        let by = |last: &String| last.strip_prefix(MOVED)?.parse().ok();
+        match self
+            .codec
+            .split_last()
+            .and_then(|(last, codec)| Some((codec, by(last)?)))
+        {
+            Some(moved) => moved,
+            None => (&self.codec, 0),
+        }
+    }
+}
+
 /// The bank's answer to one query.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Selection {

@@ -13,7 +13,7 @@ use crate::{Header, Kind, Name, Nanos, Report};
 pub enum Fate {
     /// In at least one fusion that took place.
     Used,
-    /// Passed over by a busy stage, or only in Selections that were.
+    /// Skipped by a busy stage, or only in Selections that were.
     Skipped,
     /// Only in fusions that took no more collaborators.
     OverLimit,

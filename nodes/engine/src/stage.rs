@@ -4,7 +4,7 @@ use std::collections::BTreeSet;
 
 use realo_operator::{AnyOperator, Built, Counts, Error, Made, NodeBooks, Outputs, PortId, Registration};
 use realo_schemas::report::{Crossing, Fate, Fated};
-use realo_schemas::{Message, Name, Nanos, Payload, TraceEntry, file};
+use realo_schemas::{Message, Name, Nanos, Payload, TraceEntry};
 
 /// Errors of a stage that are reported; the rest is only counted.
 const REPORTED_ERRORS: u64 = 5;
@@ -121,7 +121,7 @@ impl Called {
 /// What an error says, as a terminal may have it.
 fn words_of(error: &Error) -> String {
     let plain = |c: char| if c.is_control() && c != '\n' { ' ' } else { c };
-    file::head(&error.to_string(), REPORTED_CHARACTERS)
+    realo_documents::head(&error.to_string(), REPORTED_CHARACTERS)
         .chars()
         .map(plain)
         .collect()

@@ -8,9 +8,9 @@ use serde_yaml::{Mapping, Value};
 
 use super::read::{Node, Part};
 use super::{Graph, GraphError, OUTSIDE, paths};
+use realo_documents::shown;
 use realo_operator::config::nearest_name;
 use realo_operator::{Registration, Registry};
-use realo_schemas::file::shown;
 
 /// A graph without modules.
 #[derive(Clone, Debug, PartialEq)]

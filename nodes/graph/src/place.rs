@@ -7,8 +7,8 @@ use serde_yaml::{Mapping, Value};
 
 use super::GraphError;
 use super::read::{MAX_ENTRIES, MAX_NAME, MAX_PATH};
+use realo_documents::shown;
 use realo_operator::config::nearest_name;
-use realo_schemas::file::shown;
 
 /// A place in a file, for messages.
 pub(super) struct Place<'a> {

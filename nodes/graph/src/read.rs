@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 
 use serde_yaml::{Mapping, Value};
 
-use realo_schemas::file::shown;
+use realo_documents::shown;
 
 use super::place::Place;
 use super::{GraphError, Input, InputSource};
@@ -138,7 +138,7 @@ pub(super) struct Module {
 
 /// Reads a file of bounded size.
 pub(super) fn text_of(file: &Path) -> Result<String, GraphError> {
-    realo_schemas::file::read(file).map_err(GraphError::read(file))
+    realo_documents::read(file).map_err(GraphError::read(file))
 }
 
 /// The keys of a dataflow besides `nodes`, and its nodes.
@@ -191,7 +191,7 @@ pub(super) fn module(file: &Path) -> Result<Module, GraphError> {
 }
 
 pub(super) fn document(text: &str, file: &Path) -> Result<Value, GraphError> {
-    realo_schemas::file::yaml(text).map_err(|reason| GraphError::Yaml {
+    realo_documents::yaml(text).map_err(|reason| GraphError::Yaml {
         file: file.into(),
         reason,
     })

@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 use std::str::FromStr;
 
-use realo_schemas::file::shown;
+use realo_documents::shown;
 
 use super::flat::{STAGE, TAKES, set_argument};
 use super::{FlatGraph, FlatNode, GraphError, Input};
@@ -185,7 +185,7 @@ mod tests {
     }
 
     #[test]
-    fn what_a_file_told_the_old_stage_is_not_told_the_new_one() {
+    fn settings_of_a_file_for_the_old_stage_are_not_given_to_the_new_one() {
         let graph = replaced("attfuse", "fusion.fusion=program /x/mean").unwrap();
         let again = again(&graph);
         assert_eq!(again.node("fusion.fusion").unwrap().args, ["program", "/x/mean"]);

@@ -20,7 +20,7 @@ impl ComputeProfile {
     /// Names the file and what does not fit.
     pub fn read(path: &Path) -> Result<Self, String> {
         let shown = path.display();
-        let text = realo_schemas::file::read(path).map_err(|error| {
+        let text = realo_documents::read(path).map_err(|error| {
             format!(
                 "{shown}: {error}; a compute profile is a TOML file of `stage = ns`, as a realtime run leaves one in \
                  its folder (compute.toml)"

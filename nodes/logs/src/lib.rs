@@ -77,7 +77,7 @@ pub use log::{Entry, Log, LogReader};
 pub use log_writer::LogWriter;
 pub use map_points::{TRANSFORMS_DIFFER, TransformsApart};
 pub use mcap_file::{ChannelInfo, McapFile, Messages, RawMessage, Truncation};
-pub use mcap_writer::{ChannelId, Failure, Lane, McapWriter, Output};
+pub use mcap_writer::{ChannelId, ChunkGroup, Failure, McapWriter, Output};
 pub use merge::{Merge, Moved};
 pub use owner::{Owner, refuse_foreign};
 pub use packets::SentPacket;

@@ -6,7 +6,7 @@ use realo_schemas::geometry::View;
 use realo_schemas::{AgentState, Box3, Boxes, Name, Nanos, PointCloud, body_frame};
 
 use crate::info::{CLOCKS, END_RECORD, LEVELLED, LOG_RECORD, check_agents};
-use crate::mcap_writer::{ChannelId, Failure, Lane, McapWriter, Output};
+use crate::mcap_writer::{ChannelId, ChunkGroup, Failure, McapWriter, Output};
 use crate::{
     BoxesInfo, Levelled, LogError, LogInfo, PeerClock, Schema, Stream, boxes, cdr::CdrWriter, cloud, pose, views,
 };
@@ -125,7 +125,7 @@ impl LogWriter {
         let mcap = open(&mut self.mcap);
         let tf = *self
             .tf
-            .get_or_insert_with(|| mcap.channel("/tf", Schema::TfMessage, Lane::Small));
+            .get_or_insert_with(|| mcap.channel("/tf", Schema::TfMessage, ChunkGroup::Small));
         let frame = body_frame(agent);
         let encode = |out: &mut Vec<u8>| pose::encode_transform(out, stamp, &map, &frame, &state.map_from_body);
         let written = mcap.write(tf, ready as u64, stamp as u64, encode);
@@ -365,7 +365,7 @@ impl LogWriter {
             return Err(LogError::input(&self.path, reason));
         }
         let mcap = open(&mut self.mcap);
-        let channel = || mcap.channel(&stream.topic(agent), stream.schema(), stream.lane());
+        let channel = || mcap.channel(&stream.topic(agent), stream.schema(), stream.group());
         let channel = *known.channels.entry(stream).or_insert_with(channel);
         let written = mcap.write(channel, ready as u64, stamp as u64, encode);
         written.map(|_| ()).map_err(|failure| self.failed(failure))

@@ -50,9 +50,9 @@ impl Output for File {
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct ChannelId(u16);
 
-/// Messages of different lanes never share a chunk, so that small ones can be read without decompressing clouds.
+/// Messages of different groups never share a chunk, so that small ones can be read without decompressing clouds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Lane {
+pub enum ChunkGroup {
     /// Everything but clouds and packets.
     Small,
     /// Clouds.
@@ -61,21 +61,21 @@ pub enum Lane {
     Packets,
 }
 
-impl Lane {
-    const ALL: [Lane; 3] = [Lane::Small, Lane::Bulk, Lane::Packets];
+impl ChunkGroup {
+    const ALL: [ChunkGroup; 3] = [ChunkGroup::Small, ChunkGroup::Bulk, ChunkGroup::Packets];
 
-    /// The lane of messages of a schema, by its name.
+    /// The group of messages of a schema, by its name.
     pub fn of(schema: &str) -> Self {
         match Schema::named(schema) {
-            Some(Schema::PointCloud2) => Lane::Bulk,
-            Some(Schema::SentPacket) => Lane::Packets,
-            _ => Lane::Small,
+            Some(Schema::PointCloud2) => ChunkGroup::Bulk,
+            Some(Schema::SentPacket) => ChunkGroup::Packets,
+            _ => ChunkGroup::Small,
         }
     }
 }
 
 struct Channel {
-    lane: Lane,
+    group: ChunkGroup,
     schema: u16,
     topic: String,
     count: u64,
@@ -98,7 +98,7 @@ type Work = (OpenChunk, SyncSender<Packed>);
 pub struct McapWriter {
     channels: Vec<Channel>,
     schemas: Vec<Schema>,
-    open: [OpenChunk; Lane::ALL.len()],
+    open: [OpenChunk; ChunkGroup::ALL.len()],
     span: Option<(u64, u64)>,
     work: Option<SyncSender<Work>>,
     order: Option<SyncSender<Receiver<Packed>>>,
@@ -160,7 +160,7 @@ impl McapWriter {
     }
 
     /// The channel of a topic; its records are written with its first message.
-    pub fn channel(&mut self, topic: &str, schema: Schema, lane: Lane) -> ChannelId {
+    pub fn channel(&mut self, topic: &str, schema: Schema, group: ChunkGroup) -> ChannelId {
         let schema = match self.schemas.iter().position(|known| *known == schema) {
             Some(at) => at,
             None => {
@@ -170,7 +170,7 @@ impl McapWriter {
         };
         let id = self.channels.len() as u16;
         self.channels.push(Channel {
-            lane,
+            group,
             schema: schema as u16 + 1,
             topic: topic.into(),
             count: 0,
@@ -233,8 +233,8 @@ impl McapWriter {
             self.span
                 .map_or((log_time, log_time), |(a, b)| (a.min(log_time), b.max(log_time))),
         );
-        let lane = known.lane;
-        let open = &mut self.open[lane as usize];
+        let group = known.group;
+        let open = &mut self.open[group as usize];
         open.note(id, log_time);
         record(&mut open.records, op::MESSAGE, |out| {
             out.extend(id.to_le_bytes());
@@ -244,7 +244,7 @@ impl McapWriter {
             encode(out);
         });
         if open.records.len() >= CHUNK_BYTES {
-            self.close(lane);
+            self.close(group);
         }
         self.check()
     }
@@ -318,17 +318,17 @@ impl McapWriter {
             return;
         }
         channel.announced = true;
-        let records = &mut self.open[channel.lane as usize].records;
+        let records = &mut self.open[channel.group as usize].records;
         write_schema(records, channel.schema, self.schemas[usize::from(channel.schema) - 1]);
         write_channel(records, id, channel);
     }
 
     fn close_all(&mut self) {
-        Lane::ALL.into_iter().for_each(|lane| self.close(lane));
+        ChunkGroup::ALL.into_iter().for_each(|group| self.close(group));
     }
 
-    fn close(&mut self, lane: Lane) {
-        let open = std::mem::take(&mut self.open[lane as usize]);
+    fn close(&mut self, group: ChunkGroup) {
+        let open = std::mem::take(&mut self.open[group as usize]);
         if open.records.is_empty() {
             return;
         }

@@ -13,7 +13,7 @@ use crate::level::need_level;
 use crate::log::parse_topic;
 use crate::log_writer::{open, partial, replaceable};
 use crate::packets::{self, SentPacket};
-use crate::{ChannelId, Lane, Log, LogError, McapWriter, Messages, RawMessage, Schema, Stream};
+use crate::{ChannelId, ChunkGroup, Log, LogError, McapWriter, Messages, RawMessage, Schema, Stream};
 
 /// What of a log was computed beforehand, and how.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -158,7 +158,7 @@ impl<'a> LogCopy<'a> {
         for (id, channel) in log.topics_by_id().filter(|(_, channel)| stays(&channel.topic)) {
             match Schema::named(&channel.schema).filter(|_| channel.encoding == "cdr") {
                 Some(schema) => {
-                    let to = open(&mut copy.mcap).channel(&channel.topic, schema, Lane::of(&channel.schema));
+                    let to = open(&mut copy.mcap).channel(&channel.topic, schema, ChunkGroup::of(&channel.schema));
                     copy.channels.insert(id, to);
                 }
                 None => copy.strange.push(channel.topic.clone()),
@@ -187,7 +187,7 @@ impl<'a> LogCopy<'a> {
             mcap.channel(
                 &Stream::Packets.topic(agent),
                 Stream::Packets.schema(),
-                Stream::Packets.lane(),
+                Stream::Packets.group(),
             )
         };
         let channel = *self.packets.entry(agent.into()).or_insert_with(channel);

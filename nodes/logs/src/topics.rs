@@ -1,5 +1,5 @@
 use crate::Schema;
-use crate::mcap_writer::Lane;
+use crate::mcap_writer::ChunkGroup;
 
 /// One of an agent's topics.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Hash)]
@@ -92,7 +92,7 @@ impl Stream {
         }
     }
 
-    pub(crate) fn lane(self) -> Lane {
-        Lane::of(&self.schema().name())
+    pub(crate) fn group(self) -> ChunkGroup {
+        ChunkGroup::of(&self.schema().name())
     }
 }

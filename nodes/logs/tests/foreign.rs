@@ -10,8 +10,8 @@ use common::{MS, START};
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use realo_logs::cdr::CdrWriter;
 use realo_logs::{
-    ChannelId, Entry, Lane, Log, LogError, LogWriter, McapWriter, RECORDING_RECORD, Schema, Stream, boxes, describe,
-    describe_any, pose,
+    ChannelId, ChunkGroup, Entry, Log, LogError, LogWriter, McapWriter, RECORDING_RECORD, Schema, Stream, boxes,
+    describe, describe_any, pose,
 };
 use realo_schemas::{Nanos, PointCloud, PoseStatus};
 
@@ -86,7 +86,7 @@ const TWO: &str = r#"[{"name":"alice","kind":"vehicle"},{"name":"bob","kind":"ro
 
 fn put(writer: &mut Writer, topic: &str, schema: Schema, time: Nanos, encode: impl FnOnce(&mut Vec<u8>)) {
     let Writer { mcap, channels } = writer;
-    let new = || mcap.channel(topic, schema, Lane::of(&schema.name()));
+    let new = || mcap.channel(topic, schema, ChunkGroup::of(&schema.name()));
     let channel = *channels.entry(topic.into()).or_insert_with(new);
     mcap.write(channel, time as u64, time as u64, encode).unwrap();
 }
@@ -337,8 +337,8 @@ fn recordings_are_described_as_such() {
         ("program".into(), "realo 9".into()),
     ]);
     let mut mcap = McapWriter::new(File::create(&path).unwrap(), "x", RECORDING_RECORD, &metadata).unwrap();
-    let boxes_topic = mcap.channel("/alice/boxes", Schema::Detection3DArray, Lane::Small);
-    let reports = mcap.channel("/reports", Schema::String, Lane::Small);
+    let boxes_topic = mcap.channel("/alice/boxes", Schema::Detection3DArray, ChunkGroup::Small);
+    let reports = mcap.channel("/reports", Schema::String, ChunkGroup::Small);
     for k in 0..5 {
         let stamp = START + k * 50 * MS;
         let encode = |out: &mut Vec<u8>| boxes::encode(out, stamp, "alice/body", &[]);
@@ -375,7 +375,7 @@ fn two_channels(stamps: [&[i64]; 2]) -> Made {
     made(r#"[{"name":"alice","kind":"vehicle"}]"#, |writer| {
         for stamps in stamps {
             let mcap = &mut writer.mcap;
-            let channel = mcap.channel("/alice/sweeps", Schema::Header, Lane::Small);
+            let channel = mcap.channel("/alice/sweeps", Schema::Header, ChunkGroup::Small);
             for stamp in stamps.iter().map(|s| START + s * 1000 * MS) {
                 let encode = |out: &mut Vec<u8>| CdrWriter::new(out).header(stamp, "alice/body");
                 mcap.write(channel, stamp as u64, stamp as u64, encode).unwrap();
@@ -423,7 +423,7 @@ fn an_mcap_file_of_others_is_described_by_its_topics() {
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("bag.mcap");
     let mut mcap = McapWriter::new(File::create(&path).unwrap(), "x", "rosbag2", &BTreeMap::new()).unwrap();
-    let imu = mcap.channel("/front/header", Schema::Header, Lane::Small);
+    let imu = mcap.channel("/front/header", Schema::Header, ChunkGroup::Small);
     let encode = |out: &mut Vec<u8>| CdrWriter::new(out).header(START, "front");
     mcap.write(imu, START as u64, START as u64, encode).unwrap();
     mcap.finish().unwrap();

@@ -4,10 +4,9 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use realo_operator::{Counter, Describe, Error, Gateway, Inputs, Outputs, Settings, Steps, Waker};
+use realo_operator::{Counter, Describe, Error, Gateway, Inputs, Outputs, Settings, Waker};
 use realo_schemas::report::{self, ClockBy, Fate, Peer, to_report};
-use realo_schemas::{AgentState, Header, Kind, Message, Name, Nanos, Packet, are_one_time_line, to_millis};
-use realo_transmission::{Encoder, EncoderSettings, restamped};
+use realo_schemas::{Header, Kind, Name, Nanos, Packet, are_one_time_line, to_millis};
 use serde::{Deserialize, Serialize};
 
 use crate::body;
@@ -22,7 +21,7 @@ use crate::protocol::{self, Arrived, Offer, is_bulk};
 use crate::refusal::{self, ALONE, NO_CLOCK, OVERRUN, OVERSIZED_FRAMES, Refusal, Refusals, UNSENT_BOXES};
 use crate::seal::Seal;
 use crate::session::{self, Place};
-use crate::station::{Event, MOST_BYTES, MOST_PEERS, Passed, Report, Station};
+use crate::station::{Event, MOST_BYTES, MOST_PEERS, MessageId, Report, Station};
 use crate::unheard;
 
 /// Bytes of boxes and states at most, which cross in one frame.
@@ -76,8 +75,6 @@ pub struct Radio {
     settings: protocol::Settings,
     max_bytes: usize,
     seal: Option<Seal>,
-    /// Puts this agent's state into bytes.
-    encoder: Encoder,
     network: Option<Network>,
     /// What the network has refused so far.
     counted: Refusals,
@@ -98,7 +95,7 @@ pub enum Input {
     Packets(Header, Packet),
     /// Where this agent is, for all others.
     #[port(optional, of(Ego))]
-    State(Header, AgentState),
+    State(Header, Packet),
     /// The same moments in a fallback form, as features or boxes for points: of large kinds the richest goes that arrives in
     /// time.
     #[port(optional)]
@@ -159,7 +156,6 @@ impl Gateway for Radio {
             },
             max_bytes: settings.max_bytes,
             seal,
-            encoder: Encoder::new(&EncoderSettings::default())?,
             network: None,
             counted: Refusals::new(),
             overrun: 0,
@@ -180,16 +176,10 @@ impl Gateway for Radio {
     }
 
     fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
-        let (header, packet) = match input {
-            Input::Packets(header, packet) | Input::Fallback(header, packet) | Input::LastFallback(header, packet) => {
-                (header, packet)
-            }
-            Input::State(header, state) => {
-                let message = Message::new(header, state);
-                let (packet, _) = self.encoder.encode(&message, &mut Steps::default())?;
-                (message.header, packet)
-            }
-        };
+        let (Input::Packets(header, packet)
+        | Input::State(header, packet)
+        | Input::Fallback(header, packet)
+        | Input::LastFallback(header, packet)) = input;
         let Some(network) = &self.network else { return Ok(()) };
         network.set_time(out.now());
         if matches!(header.kind, Kind::Truth | Kind::Report) {
@@ -225,16 +215,16 @@ impl Gateway for Radio {
         let unheard = unheard::dropped();
         out.count(&OVERSIZED_FRAMES, "", unheard - self.unheard);
         self.unheard = unheard;
-        let passed = skipped(&taken.events);
-        for (event, is_passed) in taken.events.into_iter().zip(passed) {
+        let is_skipped = skipped(&taken.events);
+        for (event, is_skipped) in taken.events.into_iter().zip(is_skipped) {
             match event {
-                Event::Arrived(from, message, _) if is_passed => {
-                    self.take(Event::PassedOver(from, Passed::from(&message)), out);
+                Event::Arrived(from, message, _) if is_skipped => {
+                    self.take(Event::Skipped(from, MessageId::from(&message)), out);
                 }
                 event => {
                     let waited = match &event {
                         Event::Arrived(from, ..) => Some((from, 0)),
-                        Event::PassedOver(from, _) => Some((from, 1)),
+                        Event::Skipped(from, _) => Some((from, 1)),
                         Event::Books(..) => None,
                     };
                     if let Some((from, in_vain)) = waited {
@@ -281,8 +271,8 @@ impl Radio {
     fn take(&mut self, event: Event, out: &mut Outputs) {
         match event {
             Event::Arrived(from, message, clock) => self.deliver(&from, message, &clock, out),
-            Event::PassedOver(from, passed) => {
-                let header = self.header(&from, passed, out);
+            Event::Skipped(from, message) => {
+                let header = self.header(&from, message, out);
                 out.report(&header, Fate::Superseded);
             }
             Event::Books(from, News { traffic, fates }) => {
@@ -300,11 +290,11 @@ impl Radio {
 
     /// Gives a message of a peer to the graph, on this agent's time line.
     fn deliver(&mut self, from: &Name, message: Arrived, clock: &Estimate, out: &mut Outputs) {
-        let reported = Passed::from(&message);
+        let reported = MessageId::from(&message);
         match self.moved(from, &message, clock, out) {
             Ok((packet, stamp)) => {
                 let is_state = message.kind == Kind::AgentState;
-                let header = self.header(from, Passed { stamp, ..reported }, out);
+                let header = self.header(from, MessageId { stamp, ..reported }, out);
                 match is_state {
                     true => out.send(Output::States(header, packet)),
                     false => out.send(Output::ToEgo(header, packet)),
@@ -319,7 +309,7 @@ impl Radio {
         }
     }
 
-    fn header(&self, from: &Name, of: Passed, out: &Outputs) -> Header {
+    fn header(&self, from: &Name, of: MessageId, out: &Outputs) -> Header {
         Header {
             to: Some(self.place.agent.clone()),
             ..Header::origin(&Name::default(), from, of.kind, of.seq, of.stamp, out.now())
@@ -354,7 +344,7 @@ impl Radio {
         }
         let packet = match shift {
             0 => packet,
-            _ => restamped(&packet, stamp).ok_or(Refusal::Malformed)?,
+            _ => packet.moved(shift),
         };
         Ok((packet, stamp))
     }
@@ -414,7 +404,7 @@ fn shift(clock: &Estimate) -> Option<Nanos> {
 /// their queues: what came before this agent's time began, or while its process stood still.
 fn skipped(events: &[Event]) -> Vec<bool> {
     let mut newer: BTreeMap<(&Name, Kind), usize> = BTreeMap::new();
-    let mut passed: Vec<bool> = events
+    let mut skipped: Vec<bool> = events
         .iter()
         .rev()
         .map(|event| match event {
@@ -423,11 +413,11 @@ fn skipped(events: &[Event]) -> Vec<bool> {
                 *newer += 1;
                 *newer > AT_ONCE
             }
-            Event::PassedOver(..) | Event::Books(..) => false,
+            Event::Skipped(..) | Event::Books(..) => false,
         })
         .collect();
-    passed.reverse();
-    passed
+    skipped.reverse();
+    skipped
 }
 
 fn check(settings: &Settings) -> Result<(), Error> {
@@ -546,12 +536,12 @@ mod tests {
         events.insert(3, Event::Books("rsu1".into(), News::default()));
         events.extend((0..AT_ONCE as u64).map(|seq| arrived("rsu1", Kind::AgentState, seq)));
         events.extend((0..AT_ONCE as u64).map(|seq| arrived("rsu2", Kind::Boxes, seq)));
-        let passed = skipped(&events);
-        let given = events.iter().zip(&passed).filter(|(_, passed)| !**passed);
+        let is_skipped = skipped(&events);
+        let given = events.iter().zip(&is_skipped).filter(|(_, is_skipped)| !**is_skipped);
         let given: Vec<String> = given
             .map(|(event, _)| match event {
                 Event::Arrived(from, message, _) => format!("{from} {} {}", message.kind, message.seq),
-                Event::PassedOver(from, _) => format!("{from} passed over"),
+                Event::Skipped(from, _) => format!("{from} skipped"),
                 Event::Books(from, _) => format!("{from} books"),
             })
             .collect();

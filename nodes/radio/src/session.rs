@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use realo_schemas::{Name, Nanos, file};
+use realo_schemas::{Name, Nanos};
 use serde_json::Value;
 use zenoh::{Session, Wait};
 
@@ -133,8 +133,8 @@ fn add(config: &mut zenoh::Config, path: &Path) -> Result<(), NetworkError> {
         path: path.into(),
         reason,
     };
-    let text = file::read(path).map_err(|error| wrong(error.to_string()))?;
-    let settings: Value = file::yaml(&text).map_err(wrong)?;
+    let text = realo_documents::read(path).map_err(|error| wrong(error.to_string()))?;
+    let settings: Value = realo_documents::yaml(&text).map_err(wrong)?;
     let Value::Object(settings) = settings else {
         return Err(wrong("expected settings of Zenoh by their names".into()));
     };

@@ -101,14 +101,14 @@ pub enum Event {
     Arrived(Name, Arrived, Estimate),
     /// The same that is not given, for newer ones were before it, or because it was not known until the end where its sender's time
     /// line lies.
-    PassedOver(Name, Passed),
+    Skipped(Name, MessageId),
     /// What became of messages of a peer.
     Books(Name, News),
 }
 
-/// A message that is skipped.
+/// Which message of a peer it is.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Passed {
+pub struct MessageId {
     /// What it carried.
     pub kind: Kind,
     /// Its number.
@@ -117,10 +117,10 @@ pub struct Passed {
     pub stamp: Nanos,
 }
 
-impl From<&Arrived> for Passed {
+impl From<&Arrived> for MessageId {
     fn from(message: &Arrived) -> Self {
         let Arrived { kind, seq, stamp, .. } = message;
-        Passed {
+        MessageId {
             kind: *kind,
             seq: *seq,
             stamp: *stamp,

@@ -13,7 +13,7 @@ use realo_radio::offset::Basis;
 use realo_radio::protocol::{Arrived, Frame, Head, Offer, Settings};
 use realo_radio::refusal::Refusal;
 use realo_radio::seal::{Seal, WINDOW};
-use realo_radio::station::{Event, MOST_BYTES, MOST_PEERS, Moment, Passed, Station, Topic};
+use realo_radio::station::{Event, MOST_BYTES, MOST_PEERS, MessageId, Moment, Station, Topic};
 use realo_schemas::report::Fate;
 use realo_schemas::{Kind, Name, Nanos};
 
@@ -200,7 +200,7 @@ impl World {
         for event in events {
             match event {
                 Event::Arrived(from, Arrived { kind, seq, .. }, _)
-                | Event::PassedOver(from, Passed { kind, seq, .. }) => {
+                | Event::Skipped(from, MessageId { kind, seq, .. }) => {
                     let account = self.accounts.entry((agent, from)).or_default();
                     assert!(account.arrived.insert((kind, seq)), "given twice");
                 }
@@ -437,7 +437,7 @@ fn what_was_sent_before_does_not_come_in_again_even_after_a_restart() {
         station.take(&names[1], Topic::Small, &bytes, now);
         // Of its sender nothing is known that would place it.
         let events = station.take_events(now).into_iter().chain(station.end());
-        let given = |event: &Event| matches!(event, Event::Arrived(..) | Event::PassedOver(..));
+        let given = |event: &Event| matches!(event, Event::Arrived(..) | Event::Skipped(..));
         events.filter(given).count()
     };
     assert_eq!(arrived(&mut world.stations[0], first), 1);

@@ -4,8 +4,8 @@ use std::path::{Path, PathBuf};
 
 use realo_logs::cdr::CdrWriter;
 use realo_logs::{
-    BoxesInfo, ChannelId, Lane, LogError, McapWriter, Owner, RECORDING_RECORD, Schema, boxes, cloud, pose, program,
-    refuse_foreign, views,
+    BoxesInfo, ChannelId, ChunkGroup, LogError, McapWriter, Owner, RECORDING_RECORD, Schema, boxes, cloud, pose,
+    program, refuse_foreign, views,
 };
 use realo_operator::Books;
 use realo_schemas::geometry::View;
@@ -195,7 +195,7 @@ impl Recording {
         let channel = match self.channels.get(topic) {
             Some(channel) => *channel,
             None => {
-                let channel = self.mcap.channel(topic, schema, Lane::of(&schema.name()));
+                let channel = self.mcap.channel(topic, schema, ChunkGroup::of(&schema.name()));
                 self.channels.insert(topic.into(), channel);
                 channel
             }

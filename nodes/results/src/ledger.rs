@@ -17,7 +17,7 @@ const OPEN: u64 = 4096;
 pub struct Fates {
     /// In at least one fusion that took place.
     pub used: u64,
-    /// Passed over by a busy stage, or only in Selections that were.
+    /// Skipped by a busy stage, or only in Selections that were.
     pub skipped: u64,
     /// Only in fusions that took no more collaborators.
     pub over_limit: u64,

@@ -3,7 +3,6 @@
 use std::cmp::Reverse;
 
 use realo_operator::{Loss, Share};
-use realo_schemas::file;
 use realo_schemas::geometry::PLAUSIBLE_BOX;
 use realo_scoring::{Counts, Dropped};
 
@@ -52,7 +51,11 @@ pub(crate) fn unscored(result: &RunResult) -> Vec<String> {
         .iter()
         .map(|counts| counts.true_positives + counts.false_positives)
         .sum();
-    let egos: Vec<String> = result.egos.iter().map(|ego| plain(&file::shown(ego))).collect();
+    let egos: Vec<String> = result
+        .egos
+        .iter()
+        .map(|ego| plain(&realo_documents::shown(ego)))
+        .collect();
     let whose = match egos.is_empty() {
         true => String::new(),
         false => format!("{}: ", listed(&egos).trim_end_matches(':')),
@@ -161,7 +164,7 @@ impl Unscored<'_> {
         classes.sort_by_key(|(_, count)| Reverse(**count));
         let classes: Vec<String> = classes
             .iter()
-            .map(|(class, count)| format!("`{}` ({})", plain(&file::shown(class)), grouped(**count)))
+            .map(|(class, count)| format!("`{}` ({})", plain(&realo_documents::shown(class)), grouped(**count)))
             .collect();
         format!(
             "protocol `{}` has no class for {}; a protocol of your own may name them (docs/reference/protocols.md)",
@@ -183,10 +186,10 @@ pub(crate) fn sentence(node: &str, loss: &Loss) -> String {
     let names: Vec<&str> = agents.iter().map(|(agent, _)| *agent).collect();
     let words = |text: &str| {
         let text = text.replace("{node}", node).replace("{agent}", &listed(&names));
-        plain(&file::head(&text, CHARACTERS))
+        plain(&realo_documents::head(&text, CHARACTERS))
     };
     let found = |agent: &str| match loss.found.get(agent) {
-        Some(words) => format!(" ({})", plain(&file::head(words, CHARACTERS))),
+        Some(words) => format!(" ({})", plain(&realo_documents::head(words, CHARACTERS))),
         None => String::new(),
     };
     let (mut note, remedy) = (words(&loss.note), words(&loss.remedy));
@@ -217,7 +220,7 @@ fn agents_of(loss: &Loss) -> Vec<(&str, Share)> {
 fn count_of(agent: &str, share: Share) -> String {
     let whose = match agent.is_empty() {
         true => String::new(),
-        false => format!("{}: ", plain(&file::shown(agent))),
+        false => format!("{}: ", plain(&realo_documents::shown(agent))),
     };
     match share.of {
         0 => format!("{whose}{}", grouped(share.count)),
@@ -383,7 +386,7 @@ fn failure(id: &str, node: &NodeSummary) -> String {
         all => format!(" of {}", grouped(all.max(node.errors))),
     };
     let first = node.first_error.as_deref().map(|error| {
-        let words = plain(&file::head(error, CHARACTERS));
+        let words = plain(&realo_documents::head(error, CHARACTERS));
         format!("; the first: {}", words.trim_end())
     });
     let first = first.unwrap_or_default();

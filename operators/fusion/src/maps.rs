@@ -1,4 +1,7 @@
 //! Collaborators' BEV maps, looked at from the cells of the ego's.
+//!
+//! This samples as `realo-kernels` does, one cell at a time and in plain Rust: plug-ins that fuse link this crate, and shall not build
+//! the kernels for it.
 
 use std::borrow::Cow;
 

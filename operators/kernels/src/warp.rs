@@ -1,4 +1,6 @@
-//! Where the cells of one map lie in another.
+//! Where the cells of one map lie in another. [`crate::agents::sample`] reads a map there, with SIMD and threads in mind: the path of
+//! all shipped fusions. Its weights are of f32, so its last digits are not those of the other two, `realo-fusion` and
+//! `realo-methods`.
 
 /// Where the cells of a map lie in another map of the same grid, in cells: `other = warp * (column, row, 1)`.
 #[derive(Clone, Copy, Debug, PartialEq)]

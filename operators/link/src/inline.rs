@@ -2,9 +2,9 @@
 
 use std::path::Path;
 
+use realo_documents::shown;
 use realo_operator::config::nearest_name;
 use realo_schemas::Kind;
-use realo_schemas::file::shown;
 
 use super::medium::Phase;
 use super::profile::{CARRIED, Channel, Model, Profile, ProfileError};

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use realo_operator::config::nearest_name;
-use realo_schemas::{Kind, file, report};
+use realo_schemas::{Kind, report};
 use serde::Deserialize;
 
 use crate::inline;
@@ -180,7 +180,7 @@ impl Profile {
                 });
             }
         };
-        let read = file::read(Path::new(name));
+        let read = realo_documents::read(Path::new(name));
         parse(
             name,
             &read.map_err(|reason| ProfileError::Read {
@@ -191,12 +191,12 @@ impl Profile {
     }
 
     fn from_toml(path: &str, text: &str) -> Result<Self, ProfileError> {
-        let written = toml::from_str(text).map_err(|error| file::shown(&error.to_string()));
+        let written = toml::from_str(text).map_err(|error| realo_documents::shown(&error.to_string()));
         Profile::checked(path, written)
     }
 
     fn from_yaml(path: &str, text: &str) -> Result<Self, ProfileError> {
-        let written = file::yaml(text);
+        let written = realo_documents::yaml(text);
         Profile::checked(path, written)
     }
 
@@ -243,11 +243,11 @@ pub fn files(text: &str) -> Vec<PathBuf> {
     let mut files = Vec::new();
     inline::with_base(text, |name| {
         let path = Path::new(name);
-        if let Ok(text) = file::read(path) {
+        if let Ok(text) = realo_documents::read(path) {
             files.push(path.into());
             let written = match path.extension().is_some_and(|kind| kind == "toml") {
                 true => toml::from_str(&text).ok(),
-                false => file::yaml(&text).ok(),
+                false => realo_documents::yaml(&text).ok(),
             };
             let trace = written.and_then(|written: Written| written.channel?.trace);
             files.extend(trace.map(|trace| path.parent().unwrap_or(Path::new("")).join(trace)));
@@ -293,7 +293,7 @@ impl WrittenChannel {
             (None, Some(trace)) => {
                 let trace = Path::new(path).parent().unwrap_or(Path::new("")).join(trace);
                 let name = trace.display().to_string();
-                let text = file::read(&trace).map_err(|reason| ProfileError::Read {
+                let text = realo_documents::read(&trace).map_err(|reason| ProfileError::Read {
                     path: name.clone(),
                     reason,
                 })?;
@@ -325,7 +325,7 @@ fn phases(text: &str) -> Result<Vec<Phase>, String> {
         .filter(|(_, line)| !line.is_empty());
     let head = lines.next().map(|(_, line)| line.replace(' ', ""));
     if head.as_deref() != Some(report::Phase::COLUMNS) {
-        let found = file::shown(head.as_deref().unwrap_or_default());
+        let found = realo_documents::shown(head.as_deref().unwrap_or_default());
         return Err(format!(
             "line 1: expected `{}`, found `{found}`",
             report::Phase::COLUMNS
@@ -333,7 +333,13 @@ fn phases(text: &str) -> Result<Vec<Phase>, String> {
     }
     let mut phases: Vec<Phase> = Vec::new();
     for (index, line) in lines {
-        let wrong = |expected: &str| format!("line {}: expected {expected}, found `{}`", index + 1, file::shown(line));
+        let wrong = |expected: &str| {
+            format!(
+                "line {}: expected {expected}, found `{}`",
+                index + 1,
+                realo_documents::shown(line)
+            )
+        };
         let numbers: Vec<f64> = line.split(',').filter_map(|word| word.trim().parse().ok()).collect();
         let &[seconds, rate, delay_ms, loss] = &numbers[..] else {
             return Err(wrong("four numbers"));

@@ -403,7 +403,7 @@ mod tests {
     }
 
     #[test]
-    fn classes_suppress_each_other_unless_told_otherwise() {
+    fn classes_suppress_each_other_by_default() {
         let walker = Box3 {
             class: "Pedestrian".into(),
             ..car(0.2, 0.0, 0.8)

@@ -146,7 +146,7 @@ fn read_yaml(text: &str) -> Result<Value, String> {
     if [".nan", ".inf"].contains(&number.as_str()) {
         return Err("expected a finite number".into());
     }
-    realo_schemas::file::yaml(text)
+    realo_documents::yaml(text)
 }
 
 #[cfg(test)]

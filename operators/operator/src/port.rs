@@ -36,7 +36,7 @@ pub enum Class {
 /// Whose data a wire carries.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
-pub enum Lane {
+pub enum Side {
     /// The ego's own.
     Ego,
     /// The other agents', where they are made.
@@ -47,13 +47,13 @@ pub enum Lane {
     EgoReceived,
 }
 
-impl fmt::Display for Lane {
+impl fmt::Display for Side {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         f.write_str(match self {
-            Lane::Ego => "the ego's data",
-            Lane::Others => "the others' data",
-            Lane::OthersReceived => "the others' data, through a link",
-            Lane::EgoReceived => "the ego's data, through a link",
+            Side::Ego => "the ego's data",
+            Side::Others => "the others' data",
+            Side::OthersReceived => "the others' data, through a link",
+            Side::EgoReceived => "the ego's data, through a link",
         })
     }
 }
@@ -98,9 +98,9 @@ pub struct Port {
     pub accounts: bool,
     /// An argument and its value with which a graph must wire an optional input.
     pub needed: Option<(&'static str, &'static str)>,
-    /// Whose data it carries, whatever the other ports do; of the others all inputs carry those of one lane, and so do
+    /// Whose data it carries, whatever the other ports do; of the others all inputs carry those of one side, and so do
     /// the outputs.
-    pub lane: Option<Lane>,
+    pub side: Option<Side>,
     /// Whether it ends as soon as one of the inputs has (outputs of gateways).
     pub ends_early: bool,
     /// Inputs of a graph that say the same word here hang on one wire.
@@ -120,7 +120,7 @@ impl Port {
             join: None,
             accounts: false,
             needed: None,
-            lane: None,
+            side: None,
             ends_early: false,
             wire: None,
         }
@@ -181,9 +181,9 @@ impl Port {
         self
     }
 
-    /// Carries this lane, where lanes begin, meet or cross.
-    pub const fn of(mut self, lane: Lane) -> Self {
-        self.lane = Some(lane);
+    /// Carries the data of this side, where sides begin, meet or cross.
+    pub const fn of(mut self, side: Side) -> Self {
+        self.side = Some(side);
         self
     }
 

@@ -114,7 +114,7 @@ mod tests {
     use realo_schemas::{Box3, Kind};
 
     use super::*;
-    use crate::{Class, Inputs, Lane, Outputs, Queue};
+    use crate::{Class, Inputs, Outputs, Queue, Side};
 
     /// What comes in.
     #[derive(Debug, Inputs)]
@@ -148,8 +148,8 @@ mod tests {
         assert_eq!((ego.name, ego.about), ("ego", "The ego's own, of any form"));
         assert_eq!(ego.types, [PayloadType::Boxes, PayloadType::FeatureMap]);
         assert_eq!(
-            (ego.class, ego.queue, ego.lane),
-            (Class::Query, Queue::All, Some(Lane::Ego))
+            (ego.class, ego.queue, ego.side),
+            (Class::Query, Queue::All, Some(Side::Ego))
         );
         assert_eq!(
             (choice.name, choice.types),

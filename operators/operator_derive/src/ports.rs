@@ -127,7 +127,7 @@ fn port(variant: &Variant) -> Result<PortOf<'_>> {
     for Word { name, value } in words(&variant.attrs, "port")? {
         match name.to_string().as_str() {
             "any_of" => any_of = Some(any_of_types(&name, value)?),
-            "of" => properties.extend(quote!(.of(::realo_operator::Lane::#value))),
+            "of" => properties.extend(quote!(.of(::realo_operator::Side::#value))),
             _ => properties.extend(quote!(.#name(#value))),
         }
     }
@@ -204,7 +204,7 @@ mod tests {
         })
         .unwrap();
         assert!(made.contains("\"ego_clouds\"") && made.contains("EGO_CLOUDS"), "{made}");
-        let chain = ". latest () . of (:: realo_operator :: Lane :: Ego) . joined (\"set\")";
+        let chain = ". latest () . of (:: realo_operator :: Side :: Ego) . joined (\"set\")";
         assert!(made.contains(chain), "{made}");
     }
 

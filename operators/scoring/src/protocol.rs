@@ -3,7 +3,6 @@ use std::collections::BTreeSet;
 use std::path::Path;
 
 use realo_schemas::Box3;
-use realo_schemas::file;
 use realo_schemas::geometry::Region;
 use serde::{Deserialize, Serialize};
 
@@ -147,7 +146,7 @@ impl Protocol {
     pub fn load(name: &str) -> Result<Self, ProtocolError> {
         match NAMED.iter().find(|(known, _)| *known == name) {
             Some((_, text)) => Protocol::parse(name, text),
-            None => match file::read(Path::new(name)) {
+            None => match realo_documents::read(Path::new(name)) {
                 Ok(text) => Protocol::parse(name, &text),
                 Err(reason) => {
                     let known = NAMED.map(|(known, _)| format!("`{known}`")).join(", ");
@@ -168,9 +167,9 @@ impl Protocol {
     pub fn parse(name: &str, text: &str) -> Result<Self, ProtocolError> {
         let form = |reason: String| ProtocolError::Form {
             name: name.into(),
-            reason: file::shown(&reason),
+            reason: realo_documents::shown(&reason),
         };
-        let protocol: Protocol = file::yaml(text).map_err(form)?;
+        let protocol: Protocol = realo_documents::yaml(text).map_err(form)?;
         protocol.check().map_err(form)?;
         Ok(protocol)
     }

@@ -9,10 +9,10 @@
 //! A log may have one pose for each sweep and none near it: that pose is exact, but nothing says how the agent moved;
 //! such a sweep passes as it is (`not_deskewed`), without velocity.
 
+mod agent_track;
 mod clean;
-mod lane;
 mod operator;
 
+pub use agent_track::{AgentTrack, Pairing, PosePoint};
 pub use clean::{Cleaned, OwnBody, clean};
-pub use lane::{Lane, Pairing, PosePoint};
 pub use operator::{Settings, Sync};

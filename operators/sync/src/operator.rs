@@ -4,8 +4,8 @@ use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settin
 use realo_schemas::{AgentState, Header, Kind, Name, Nanos, PointCloud, Pose};
 use serde::{Deserialize, Serialize};
 
-use crate::lane::Unposed;
-use crate::{Cleaned, Lane, OwnBody, Pairing, clean};
+use crate::agent_track::Unposed;
+use crate::{AgentTrack, Cleaned, OwnBody, Pairing, clean};
 
 const NANOS_PER_MILLI: Nanos = 1_000_000;
 
@@ -84,7 +84,7 @@ pub enum SyncError {
 /// Orders and stamps each agent's streams.
 pub struct Sync {
     settings: SweepRules,
-    lanes: BTreeMap<Name, Lane>,
+    tracks: BTreeMap<Name, AgentTrack>,
 }
 
 #[derive(Clone, Copy)]
@@ -142,38 +142,38 @@ impl Sync {
         }
         not_ahead(header, out.now())?;
         let max_gap = self.settings.max_gap;
-        let lane = self
-            .lanes
+        let track = self
+            .tracks
             .entry(header.agent.clone())
-            .or_insert_with(|| Lane::new(max_gap));
-        lane.insert(header.stamp, state);
-        settle(&header.agent, lane.settled(), lane.has_true_poses(), out);
-        self.settings.release(lane, out, false);
+            .or_insert_with(|| AgentTrack::new(max_gap));
+        track.insert(header.stamp, state);
+        settle(&header.agent, track.settled(), track.has_true_poses(), out);
+        self.settings.release(track, out, false);
         Ok(())
     }
 
     fn cloud(&mut self, header: Header, cloud: PointCloud, out: &mut Outputs) -> Result<(), SyncError> {
         not_ahead(&header, out.now())?;
         let max_gap = self.settings.max_gap;
-        let lane = self
-            .lanes
+        let track = self
+            .tracks
             .entry(header.agent.clone())
-            .or_insert_with(|| Lane::new(max_gap));
-        let newest = lane.newest.unwrap_or(Nanos::MIN);
+            .or_insert_with(|| AgentTrack::new(max_gap));
+        let newest = track.newest.unwrap_or(Nanos::MIN);
         let is = |wrong: bool| u64::from(wrong);
         out.count_of(&DUPLICATE, &header.agent, is(header.stamp == newest), 1);
         out.count_of(&OUT_OF_ORDER, &header.agent, is(header.stamp < newest), 1);
         if header.stamp <= newest {
             return Ok(());
         }
-        lane.newest = Some(header.stamp);
+        track.newest = Some(header.stamp);
         let (now, agent) = (out.now(), header.agent.clone());
-        if let Some((header, _)) = lane.wait(now, header, cloud) {
-            lane.give_up(header.stamp);
+        if let Some((header, _)) = track.wait(now, header, cloud) {
+            track.give_up(header.stamp);
         }
-        settle(&agent, lane.settled(), lane.has_true_poses(), out);
-        self.settings.release(lane, out, false);
-        if !lane.waiting.is_empty() {
+        settle(&agent, track.settled(), track.has_true_poses(), out);
+        self.settings.release(track, out, false);
+        if !track.waiting.is_empty() {
             out.wake_at(now.saturating_add(OVERTAKING));
             out.wake_at(now.saturating_add(self.settings.patience));
         }
@@ -183,24 +183,24 @@ impl Sync {
 
 impl SweepRules {
     /// Sends an agent's sweeps that can go on, oldest first; none overtakes another.
-    fn release(self, lane: &mut Lane, out: &mut Outputs, at_end: bool) {
-        while let Some((came, header, cloud)) = lane.waiting.front() {
+    fn release(self, track: &mut AgentTrack, out: &mut Outputs, at_end: bool) {
+        while let Some((came, header, cloud)) = track.waiting.front() {
             let waited = out.now().saturating_sub(*came);
             let gives_up = at_end || waited >= self.patience;
             let last = span(cloud).map_or(0, |[_, last]| Nanos::from(last));
             let may_be_overtaken = !gives_up && waited < OVERTAKING;
-            if may_be_overtaken && lane.misses_pose(header.stamp.saturating_add(last), *came) {
+            if may_be_overtaken && track.misses_pose(header.stamp.saturating_add(last), *came) {
                 break;
             }
-            let pairing = lane.pair(header.stamp, span(cloud), self.deskew, gives_up);
+            let pairing = track.pair(header.stamp, span(cloud), self.deskew, gives_up);
             if pairing.is_none() && !gives_up {
                 break;
             }
-            let Some((_, header, cloud)) = lane.waiting.pop_front() else {
+            let Some((_, header, cloud)) = track.waiting.pop_front() else {
                 break;
             };
             match pairing {
-                None => lane.give_up(header.stamp),
+                None => track.give_up(header.stamp),
                 Some(pairing) => {
                     count_pose(&header.agent, [0, 0], out);
                     self.send(header, &cloud, pairing, out);
@@ -292,7 +292,7 @@ impl Operator for Sync {
         };
         Ok(Sync {
             settings,
-            lanes: BTreeMap::new(),
+            tracks: BTreeMap::new(),
         })
     }
 
@@ -305,16 +305,16 @@ impl Operator for Sync {
     }
 
     fn on_wake(&mut self, _now: Nanos, out: &mut Outputs) -> Result<(), Error> {
-        self.lanes
+        self.tracks
             .values_mut()
-            .for_each(|lane| self.settings.release(lane, out, false));
+            .for_each(|track| self.settings.release(track, out, false));
         Ok(())
     }
 
     fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
-        for (agent, lane) in &mut self.lanes {
-            self.settings.release(lane, out, true);
-            settle(agent, lane.unposed(), lane.has_true_poses(), out);
+        for (agent, track) in &mut self.tracks {
+            self.settings.release(track, out, true);
+            settle(agent, track.unposed(), track.has_true_poses(), out);
         }
         Ok(())
     }

@@ -238,14 +238,15 @@ impl Decoder {
         packet: &Packet,
         steps: &mut Steps,
     ) -> Result<(Message, Unused), DecodeError> {
-        let codec = packet.codec.as_slice();
+        let (codec, moved) = packet.origin();
         match codec.last().map(String::as_str) {
             Some(CODEC) => {
-                let content = self.decode(&packet.bytes, steps)?;
+                let mut content = self.decode(&packet.bytes, steps)?;
+                content.envelope.stamp = content.envelope.stamp.saturating_add(moved);
                 Ok((content.into_message(header, codec)?, Unused::default()))
             }
-            Some(cpm::CODEC) if codec.len() == 1 => self.cpm.read(header, &packet.bytes),
-            _ => Err(DecodeError::Codec(codec.join(", "))),
+            Some(cpm::CODEC) if codec.len() == 1 => self.cpm.read(header, &packet.bytes, moved),
+            _ => Err(DecodeError::Codec(packet.codec.join(", "))),
         }
     }
 

@@ -9,7 +9,7 @@ mod station;
 mod units;
 mod writer;
 
-use c_its_parser::standards::cdd_2_2_1::etsi_its_cdd::{OrdinalNumber1B, TimestampIts};
+use c_its_parser::standards::cdd_2_2_1::etsi_its_cdd::OrdinalNumber1B;
 use c_its_parser::standards::cpm_2_1_1::cpm_pdu_descriptions::CollectivePerceptionMessage;
 use realo_schemas::{Header, Kind, Message, Name, Nanos, Packet};
 
@@ -50,13 +50,6 @@ pub fn received(bytes: &[u8], run: &Name, seq: u64, ready: Nanos) -> Result<Mess
         bytes: bytes.to_vec().into(),
     };
     Ok(Message::new(header, packet))
-}
-
-/// The same CPM, measured at another time.
-pub(crate) fn restamped(bytes: &[u8], stamp: Nanos) -> Option<Vec<u8>> {
-    let mut cpm = pdu(bytes).ok()?;
-    cpm.payload.management_container.reference_time = TimestampIts(clock::timestamp_of(stamp)?);
-    rasn::uper::encode(&cpm).ok()
 }
 
 /// The message that bytes are, its containers not looked at yet.

@@ -213,7 +213,7 @@ mod tests {
     }
 
     #[test]
-    fn the_greatest_and_the_least_numbers_have_a_defined_result() {
+    fn the_max_and_min_numbers_have_a_defined_result() {
         let tiny = [f32::from_bits(1), 0.0, -f32::MIN_POSITIVE];
         let (_, found) = through_codes(&tiny, 1);
         assert!(

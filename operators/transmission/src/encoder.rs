@@ -110,8 +110,10 @@ pub enum Input {
 /// What it sends.
 #[derive(Debug, Outputs)]
 pub enum Output {
-    /// The same as bytes.
+    /// The points, features or boxes as bytes.
     Packets(Header, Packet),
+    /// Where the agent is, as bytes.
+    StatePackets(Header, Packet),
 }
 
 impl Describe for TransmissionEncoder {
@@ -143,6 +145,7 @@ impl Operator for TransmissionEncoder {
         let Input::Messages(message) = input;
         let (packet, dropped) = self.encoder.encode(&message, out.steps())?;
         let agent = message.header.agent.clone();
+        let is_state = matches!(message.payload, Payload::AgentState(_));
         let boxes = match &message.payload {
             Payload::Boxes(boxes) => boxes.0.len() as u64,
             _ => 0,
@@ -161,7 +164,10 @@ impl Operator for TransmissionEncoder {
             position: None,
             ..message.header
         };
-        out.send(Output::Packets(header, packet));
+        match is_state {
+            true => out.send(Output::StatePackets(header, packet)),
+            false => out.send(Output::Packets(header, packet)),
+        }
         Ok(())
     }
 }

@@ -1,9 +1,8 @@
 //! What of a header crosses a link.
 
-use realo_schemas::{Header, Kind, Name, Nanos, Packet, Pose, body_frame};
+use realo_schemas::{Header, Kind, Name, Nanos, Pose, body_frame};
 
 use crate::bytes::{Reader, put_covariance6, put_f64s, put_pose, put_text};
-use crate::cpm;
 use crate::error::{DecodeError, EncodeError};
 
 const MAGIC: &[u8] = b"rl";
@@ -75,25 +74,6 @@ pub(crate) fn write(out: &mut Vec<u8>, header: &Header) -> Result<(), EncodeErro
         put_f64s(out, position, "position of the sender")?;
     }
     Ok(())
-}
-
-/// Bytes before the stamp: magic, version, content, flags, number.
-const STAMP_AT: usize = 2 + 3 + 8;
-
-/// The same packet, measured at another time: the sender's time line is another one.
-pub fn restamped(packet: &Packet, stamp: Nanos) -> Option<Packet> {
-    let bytes = if packet.codec.last().is_some_and(|last| last == cpm::CODEC) {
-        cpm::restamped(&packet.bytes, stamp)?
-    } else {
-        let mut bytes = packet.bytes.to_vec();
-        let place = bytes.get_mut(STAMP_AT..STAMP_AT + 8)?;
-        place.copy_from_slice(&stamp.to_le_bytes());
-        bytes
-    };
-    Some(Packet {
-        codec: packet.codec.clone(),
-        bytes: bytes.into(),
-    })
 }
 
 pub(crate) fn read(bytes: &mut Reader) -> Result<Envelope, DecodeError> {

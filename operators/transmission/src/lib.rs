@@ -81,5 +81,4 @@ mod shuffle;
 pub use codec::{CODEC, Content, Decoder, Dropped, Encoder};
 pub use decoder::{Settings as DecoderSettings, TransmissionDecoder};
 pub use encoder::{BoxesLayout, Settings as EncoderSettings, TransmissionEncoder};
-pub use envelope::restamped;
 pub use error::{DecodeError, EncodeError};

@@ -189,7 +189,7 @@ mod tests {
     }
 
     #[test]
-    fn carries_on_over_the_greatest_gap_and_no_further() {
+    fn carries_on_over_the_max_gap_and_no_further() {
         let track = track(200 * MS);
         assert!(Motion::new(&track, 250 * MS, -50 * MS, 100 * MS).is_some());
         assert!(Motion::new(&track, 250 * MS, -50 * MS, 101 * MS).is_none());

@@ -176,7 +176,7 @@ mod tests {
     }
 
     #[test]
-    fn a_program_that_is_not_beside_this_one_is_told_how_to_build() {
+    fn a_message_says_how_to_build_a_program_that_is_not_beside_this_one() {
         let said = beside("realo-nowhere").unwrap_err().to_string();
         assert!(said.contains("cargo build --release -p realo-nowhere"), "{said}");
     }

@@ -5,7 +5,9 @@ use std::path::Path;
 
 use nalgebra::{Isometry3, Point3, Translation3, UnitQuaternion, Vector3};
 use realo_importer::{Level, relevel};
-use realo_logs::{AgentInfo, AgentKind, Lane, Log, LogInfo, LogWriter, McapFile, McapWriter, Schema, Stream, describe};
+use realo_logs::{
+    AgentInfo, AgentKind, ChunkGroup, Log, LogInfo, LogWriter, McapFile, McapWriter, Schema, Stream, describe,
+};
 use realo_operator::Source;
 use realo_player::{Player, PoseSource, Settings};
 use realo_schemas::geometry::{View, transform_box, yaw_of};
@@ -265,7 +267,10 @@ fn rewritten(from: &Path, to: &Path, time: impl Fn(&str, u64) -> Option<u64>) {
     let channels: std::collections::BTreeMap<_, _> = stays
         .map(|(id, channel)| {
             let schema = Schema::named(&channel.schema).unwrap();
-            (*id, mcap.channel(&channel.topic, schema, Lane::of(&channel.schema)))
+            (
+                *id,
+                mcap.channel(&channel.topic, schema, ChunkGroup::of(&channel.schema)),
+            )
         })
         .collect();
     let mut messages = file.messages(channels.keys().copied().collect(), 0..u64::MAX).unwrap();

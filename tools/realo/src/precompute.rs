@@ -11,7 +11,7 @@ use realo_host::{Stages, virtual_time};
 use realo_logs::{Log, LogCopy, Precomputed, SentPacket, Stream};
 use realo_schemas::{Header, Kind, Message, Name, Nanos, Packet, Payload};
 
-use crate::run::{self, Lane};
+use crate::run::{self, LaneRun};
 use crate::tables::Show;
 use crate::{demo, registry};
 
@@ -82,7 +82,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
 }
 
 /// What the copy will say of its packets: those of these agents, and the log's own that were computed alike.
-fn precomputed(args: &Args, log: &Log, lane: &Lane, agents: &[String]) -> Precomputed {
+fn precomputed(args: &Args, log: &Log, lane: &LaneRun, agents: &[String]) -> Precomputed {
     let known = log.info().precomputed.as_ref();
     let kept = known.filter(|known| known.difference(&lane.described).is_none());
     if let (Some(known), None) = (known, kept) {
@@ -182,7 +182,7 @@ pub(crate) fn lane_args(graph: &Path, log: &Path, ego: &str, agents: &[String], 
 
 /// Runs the lane; gives all packets of the agents to `keep`.
 pub(crate) fn compute(
-    lane: &Lane,
+    lane: &LaneRun,
     agents: &[String],
     mut keep: impl FnMut(&Header, &Packet) -> Result<()>,
 ) -> Result<()> {

@@ -109,7 +109,7 @@ fn properties(port: &Port, is_input: bool) -> String {
             None => {}
         }
     }
-    words.extend(port.lane.map(|lane| lane.to_string()));
+    words.extend(port.side.map(|side| side.to_string()));
     match words.is_empty() {
         true => String::new(),
         false => format!(" ({})", words.join(", ")),

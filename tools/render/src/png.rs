@@ -1,3 +1,6 @@
+//! Drawings as PNG files. These few lines, on libraries that the program links anyway, are all of the format that it needs; the
+//! crate `png` would add a decoder, filters and a second compressor to every build.
+
 use std::io::Write;
 
 use flate2::Compression;

@@ -1,4 +1,4 @@
-mod cell;
+mod recorded;
 
 use std::path::{Path, PathBuf};
 
@@ -9,7 +9,7 @@ use realo_schemas::{GroundTruth, Header, Nanos};
 use realo_scoring::Protocol;
 
 use crate::{Judged, RenderError};
-use cell::Cell;
+use recorded::RecordedRun;
 
 const RECORDING: &str = "recording.mcap";
 /// Where a complete run is kept that an interrupted one came after.
@@ -83,12 +83,12 @@ pub(crate) fn choose_with(request: &Request, watch: &Watch) -> Result<Chosen, Re
     let mut best: Option<Chosen> = None;
     let mut there = Vec::new();
     for (folder, run) in runs(request)? {
-        let cell = Cell::read(&folder, run, request)?;
-        there.push(cell.describe());
-        if request.ego.as_ref().is_some_and(|ego| *ego != cell.ego) {
+        let recorded = RecordedRun::read(&folder, run, request)?;
+        there.push(recorded.describe());
+        if request.ego.as_ref().is_some_and(|ego| *ego != recorded.ego) {
             continue;
         }
-        let Some(chosen) = cell.choose(request.frame, &|done, all| watch(&folder, done, all))? else {
+        let Some(chosen) = recorded.choose(request.frame, &|done, all| watch(&folder, done, all))? else {
             continue;
         };
         let gain = |chosen: &Chosen| (chosen.judged.added(), chosen.judged.hits());

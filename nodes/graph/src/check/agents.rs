@@ -1,8 +1,8 @@
 //! Whose graph it is, where one agent has a graph of its own.
 
 use super::{Findings, FlatGraph, FlatNode, Severity};
+use realo_documents::shown;
 use realo_operator::{Registration, Role};
-use realo_schemas::file::shown;
 
 /// Player, radio and log recorder of a graph are of one agent.
 pub(super) fn check(graph: &FlatGraph, stages: &[Option<&'static Registration>], findings: &mut Findings) {

@@ -2,8 +2,8 @@
 
 use std::collections::BTreeMap;
 
-use realo_operator::Lane::{Ego, EgoReceived, Others, OthersReceived};
-use realo_operator::{Class, Lane, Port, Registration};
+use realo_operator::Side::{Ego, EgoReceived, Others, OthersReceived};
+use realo_operator::{Class, Port, Registration, Side};
 use realo_schemas::PayloadType;
 
 use super::{Findings, FlatGraph, FlatNode, Severity};
@@ -18,39 +18,39 @@ pub(super) fn check(
 ) {
     let mut order: Vec<usize> = (0..graph.nodes.len()).collect();
     order.sort_by_key(|node| ranks[*node]);
-    let mut lanes: BTreeMap<(&str, &str), Lane> = BTreeMap::new();
+    let mut sides: BTreeMap<(&str, &str), Side> = BTreeMap::new();
     for index in order {
         let node = &graph.nodes[index];
         let (mut free, mut demanded) = (BTreeMap::new(), Vec::new());
         for (port, input) in &node.inputs {
-            let Some(found) = input.output().and_then(|output| lanes.get(&output)) else {
+            let Some(found) = input.output().and_then(|output| sides.get(&output)) else {
                 continue;
             };
-            match stages[index].and_then(|stage| stage.input(port)?.1.lane) {
-                Some(lane) => {
-                    wrong_lane(node, port, lane, *found, findings);
-                    demanded.push(lane);
+            match stages[index].and_then(|stage| stage.input(port)?.1.side) {
+                Some(side) => {
+                    wrong_side(node, port, side, *found, findings);
+                    demanded.push(side);
                 }
                 None => {
                     free.insert(port.as_str(), *found);
                 }
             }
         }
-        // What a stage makes is of the lane that it works for: the one that all its inputs declare, else that of the rest.
-        let declares_all = stages[index].is_some_and(|stage| stage.inputs.iter().all(|port| port.lane.is_some()));
+        // What a stage makes is of the side that it works for: the one that all its inputs declare, else that of the rest.
+        let declares_all = stages[index].is_some_and(|stage| stage.inputs.iter().all(|port| port.side.is_some()));
         let works_for = if declares_all {
             demanded
                 .first()
                 .copied()
-                .filter(|first| demanded.iter().all(|lane| lane == first))
+                .filter(|first| demanded.iter().all(|side| side == first))
         } else {
             single(node, &free, findings)
         };
         for output in &node.outputs {
-            let made = stages[index].and_then(|stage| stage.output(output)?.1.lane);
-            lanes.extend(
+            let made = stages[index].and_then(|stage| stage.output(output)?.1.side);
+            sides.extend(
                 made.or(works_for)
-                    .map(|lane| ((node.id.as_str(), output.as_str()), lane)),
+                    .map(|side| ((node.id.as_str(), output.as_str()), side)),
             );
         }
     }
@@ -58,7 +58,7 @@ pub(super) fn check(
     same_wires(graph, stages, findings);
 }
 
-fn wrong_lane(node: &FlatNode, port: &str, demanded: Lane, found: Lane, findings: &mut Findings) {
+fn wrong_side(node: &FlatNode, port: &str, demanded: Side, found: Side, findings: &mut Findings) {
     if found != demanded {
         let mend = match (demanded, found) {
             (OthersReceived, Others) => "what the others send must cross a link: wire the output `to_ego` of one",
@@ -72,15 +72,15 @@ fn wrong_lane(node: &FlatNode, port: &str, demanded: Lane, found: Lane, findings
     }
 }
 
-/// The one lane of all inputs; a finding if there are several.
-fn single(node: &FlatNode, taken: &BTreeMap<&str, Lane>, findings: &mut Findings) -> Option<Lane> {
-    let lane = *taken.values().next()?;
-    if taken.values().all(|other| *other == lane) {
-        return Some(lane);
+/// The one side of all inputs; a finding if there are several.
+fn single(node: &FlatNode, taken: &BTreeMap<&str, Side>, findings: &mut Findings) -> Option<Side> {
+    let side = *taken.values().next()?;
+    if taken.values().all(|other| *other == side) {
+        return Some(side);
     }
     let each: Vec<String> = taken
         .iter()
-        .map(|(port, lane)| format!("`{port}` takes {lane}, from `{}`", node.inputs[*port].source))
+        .map(|(port, side)| format!("`{port}` takes {side}, from `{}`", node.inputs[*port].source))
         .collect();
     let mend = "wire all inputs to one lane; lanes meet in a feature-bank and cross in a link";
     findings.node(Severity::Error, node, "inputs of one lane", each.join("; "), mend);

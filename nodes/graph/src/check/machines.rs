@@ -4,8 +4,8 @@ use serde_yaml::Value;
 
 use super::{Findings, FlatGraph, FlatNode, Severity};
 use crate::flat::DEPLOY;
+use realo_documents::shown;
 use realo_operator::config::nearest_name;
-use realo_schemas::file::shown;
 
 /// What dora reads of `deploy`.
 const KEYS: &[&str] = &["machine", "working_dir", "labels", "distribute"];

@@ -5,7 +5,7 @@ use realo_schemas::{Message, Nanos, PayloadType};
 use super::*;
 use crate::Graph;
 use realo_operator::{
-    Books, Describe, Error, Gateway, Lane, Operator, Outputs, Port, PortError, PortId, Settings, Sink, Source,
+    Books, Describe, Error, Gateway, Operator, Outputs, Port, PortError, PortId, Settings, Side, Sink, Source,
     StageInputs, StageOutputs, Waker,
 };
 
@@ -116,13 +116,13 @@ stage!(
     "player",
     [],
     [
-        port("ego_clouds", CLOUDS).of(Lane::Ego),
-        port("ego_recorded", BOXES).of(Lane::Ego),
-        port("clouds", CLOUDS).of(Lane::Others),
-        port("recorded", BOXES).of(Lane::Others),
-        port("poses", STATES).of(Lane::Others),
-        port("ego_poses", STATES).of(Lane::Ego),
-        port("truth", TRUTH).of(Lane::Ego)
+        port("ego_clouds", CLOUDS).of(Side::Ego),
+        port("ego_recorded", BOXES).of(Side::Ego),
+        port("clouds", CLOUDS).of(Side::Others),
+        port("recorded", BOXES).of(Side::Others),
+        port("poses", STATES).of(Side::Others),
+        port("ego_poses", STATES).of(Side::Ego),
+        port("truth", TRUTH).of(Side::Ego)
     ]
 );
 stage!(
@@ -139,7 +139,7 @@ stage!(
     "transmission-encoder",
     [
         port("data", CONTENT),
-        port("state", STATES).of(Lane::EgoReceived).optional()
+        port("state", STATES).of(Side::EgoReceived).optional()
     ],
     [port("packets", PACKETS)]
 );
@@ -155,14 +155,14 @@ stage!(
     Link,
     "link",
     [
-        port("ego", PACKETS).of(Lane::Ego).optional(),
-        port("others", PACKETS).of(Lane::Others),
-        port("ego_state", STATES).of(Lane::Ego),
-        port("states", STATES).of(Lane::Others)
+        port("ego", PACKETS).of(Side::Ego).optional(),
+        port("others", PACKETS).of(Side::Others),
+        port("ego_state", STATES).of(Side::Ego),
+        port("states", STATES).of(Side::Others)
     ],
     [
-        port("to_ego", PACKETS).of(Lane::OthersReceived),
-        port("to_others", PACKETS).of(Lane::EgoReceived),
+        port("to_ego", PACKETS).of(Side::OthersReceived),
+        port("to_others", PACKETS).of(Side::EgoReceived),
         port("report", REPORTS)
     ]
 );
@@ -171,11 +171,11 @@ stage!(
     Bank,
     "feature-bank",
     [
-        port("ego", CONTENT).of(Lane::Ego).query(),
-        port("others", CONTENT).of(Lane::OthersReceived)
+        port("ego", CONTENT).of(Side::Ego).query(),
+        port("others", CONTENT).of(Side::OthersReceived)
     ],
     [
-        port("selections", &[PayloadType::Selection]).of(Lane::Ego),
+        port("selections", &[PayloadType::Selection]).of(Side::Ego),
         port("report", REPORTS)
     ]
 );
@@ -184,9 +184,9 @@ stage!(
     Fusion,
     "fusion-boxes",
     [
-        port("ego", BOXES).of(Lane::Ego).joined("frame"),
+        port("ego", BOXES).of(Side::Ego).joined("frame"),
         port("selections", &[PayloadType::Selection])
-            .of(Lane::Ego)
+            .of(Side::Ego)
             .joined("frame")
     ],
     [port("boxes", BOXES), port("report", REPORTS)]
@@ -196,8 +196,8 @@ stage!(
     Evaluator,
     "evaluator",
     [
-        port("truth", TRUTH).of(Lane::Ego).on_wire("truth"),
-        port("boxes", BOXES).of(Lane::Ego).on_wire("boxes")
+        port("truth", TRUTH).of(Side::Ego).on_wire("truth"),
+        port("boxes", BOXES).of(Side::Ego).on_wire("boxes")
     ],
     [port("report", REPORTS)]
 );
@@ -206,9 +206,9 @@ stage!(
     Results,
     "results",
     [
-        port("boxes", BOXES).of(Lane::Ego).on_wire("boxes"),
-        port("truth", TRUTH).of(Lane::Ego).on_wire("truth"),
-        port("evaluation", REPORTS).of(Lane::Ego)
+        port("boxes", BOXES).of(Side::Ego).on_wire("boxes"),
+        port("truth", TRUTH).of(Side::Ego).on_wire("truth"),
+        port("evaluation", REPORTS).of(Side::Ego)
     ],
     []
 );
@@ -217,14 +217,14 @@ stage!(
     Recorder,
     "recorder",
     [
-        port("boxes", BOXES).of(Lane::Ego),
-        port("ego_boxes", BOXES).of(Lane::Ego).optional(),
-        port("other_boxes", BOXES).of(Lane::Others).optional(),
-        port("ego_state", STATES).of(Lane::Ego).optional(),
-        port("states", STATES).of(Lane::Others).optional(),
-        port("truth", TRUTH).of(Lane::Ego).optional(),
-        port("ego_clouds", CLOUDS).of(Lane::Ego).optional(),
-        port("clouds", CLOUDS).of(Lane::Others).optional()
+        port("boxes", BOXES).of(Side::Ego),
+        port("ego_boxes", BOXES).of(Side::Ego).optional(),
+        port("other_boxes", BOXES).of(Side::Others).optional(),
+        port("ego_state", STATES).of(Side::Ego).optional(),
+        port("states", STATES).of(Side::Others).optional(),
+        port("truth", TRUTH).of(Side::Ego).optional(),
+        port("ego_clouds", CLOUDS).of(Side::Ego).optional(),
+        port("clouds", CLOUDS).of(Side::Others).optional()
     ],
     []
 );
@@ -234,7 +234,7 @@ stage!(
     Radio,
     "radio",
     [port("packets", PACKETS), port("state", STATES).optional()],
-    [port("states", PACKETS).of(Lane::EgoReceived)]
+    [port("states", PACKETS).of(Side::EgoReceived)]
 );
 
 pub(crate) const REGISTRY: Registry = Registry(&[

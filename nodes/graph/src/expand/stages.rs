@@ -3,7 +3,7 @@
 use std::collections::BTreeSet;
 
 use realo_operator::config::nearest_name;
-use realo_schemas::file::shown;
+use realo_documents::shown;
 
 use super::Outlets;
 use crate::read::Node;

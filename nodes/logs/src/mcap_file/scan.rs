@@ -12,7 +12,7 @@ use realo_schemas::Nanos;
 use super::truncation::Truncation;
 use super::{ChannelInfo, MAGIC, McapFile, RECORD_HEAD, Span, sorted};
 use crate::records::{ChannelRecord, HEAD, MessageRecord, MetadataRecord, SchemaRecord, records, unpack};
-use crate::{Lane, LogError};
+use crate::{ChunkGroup, LogError};
 
 /// One pass over a file without a usable index.
 pub(super) struct Scan {
@@ -25,14 +25,14 @@ pub(super) struct Scan {
     pub counts: BTreeMap<u16, u64>,
     pub metadata: BTreeMap<String, BTreeMap<String, String>>,
     pub spans: Vec<Span>,
-    lanes: BTreeMap<Lane, Reach>,
+    groups: BTreeMap<ChunkGroup, Reach>,
     /// Whether the record after the last message was found.
     all_data: bool,
     /// Where the file ends by its closing record.
     pub end: Option<u64>,
 }
 
-/// How far the messages of a lane reach.
+/// How far the messages of a group reach.
 #[derive(Clone, Copy, Default)]
 pub(super) struct Reach {
     newest: u64,
@@ -64,7 +64,7 @@ impl Scan {
             counts: BTreeMap::new(),
             metadata: BTreeMap::new(),
             spans: Vec::new(),
-            lanes: BTreeMap::new(),
+            groups: BTreeMap::new(),
             all_data: false,
             end: None,
         }
@@ -75,7 +75,7 @@ impl Scan {
         match self.all_data {
             true => last.map(|last| last.saturating_add(1)),
             // Lanes are cut at different times: what one lacks, the others' messages cannot do without.
-            false => self.lanes.values().map(|reach| reach.complete_until()).min(),
+            false => self.groups.values().map(|reach| reach.complete_until()).min(),
         }
     }
 
@@ -220,7 +220,7 @@ impl Scan {
             false => (span.first.min(log_time), span.last.max(log_time)),
         };
         channels.insert(channel);
-        self.lanes.entry(self.lane_of(channel)).or_default().note(log_time);
+        self.groups.entry(self.group_of(channel)).or_default().note(log_time);
         *self.counts.entry(channel).or_default() += 1;
         Ok(())
     }
@@ -246,11 +246,11 @@ impl Scan {
         Ok(())
     }
 
-    fn lane_of(&self, channel: u16) -> Lane {
+    fn group_of(&self, channel: u16) -> ChunkGroup {
         let schema = self
             .channels
             .get(&channel)
             .and_then(|(_, schema)| self.schemas.get(schema));
-        schema.map_or(Lane::Small, |schema| Lane::of(schema))
+        schema.map_or(ChunkGroup::Small, |schema| ChunkGroup::of(schema))
     }
 }

@@ -6,7 +6,7 @@ use realo_schemas::{Name, Nanos};
 
 use super::{EVENT_BYTES, EVENTS, SHARE, WAITING, WAITING_BYTES};
 use crate::refusal::Refusals;
-use crate::station::{Event, Passed, Report};
+use crate::station::{Event, MessageId, Report};
 
 /// What the graph's calls and the thread share.
 #[derive(Default)]
@@ -58,7 +58,7 @@ impl Shared {
     pub(super) fn keep(&mut self, events: Vec<Event>) {
         let bytes = |event: &Event| match event {
             Event::Arrived(_, message, _) => message.bytes.len(),
-            Event::PassedOver(..) | Event::Books(..) => 0,
+            Event::Skipped(..) | Event::Books(..) => 0,
         };
         self.event_bytes += events.iter().map(bytes).sum::<usize>();
         self.events.extend(events);
@@ -68,7 +68,7 @@ impl Shared {
         {
             self.event_bytes -= bytes(event);
             if let Event::Arrived(from, message, _) = event {
-                *event = Event::PassedOver(from.clone(), Passed::from(&*message));
+                *event = Event::Skipped(from.clone(), MessageId::from(&*message));
             }
         }
         let surplus = self.events.len().saturating_sub(EVENTS);

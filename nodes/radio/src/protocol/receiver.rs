@@ -61,13 +61,13 @@ pub struct ReceiverCounts {
 pub struct Receiver {
     largest: usize,
     session: u64,
-    kinds: BTreeMap<Kind, Lane>,
+    kinds: BTreeMap<Kind, KindReceiver>,
     counts: ReceiverCounts,
 }
 
 /// Messages of a kind.
 #[derive(Debug, Default)]
-struct Lane {
+struct KindReceiver {
     incomplete: BTreeMap<u64, Incomplete>,
     /// Numbers of messages that were given, the newest of them.
     given: BTreeSet<u64>,
@@ -123,11 +123,11 @@ impl Receiver {
             self.session = head.session;
             self.kinds.clear();
         }
-        let lane = self.kinds.entry(head.kind).or_default();
-        let message = match lane.insert(head, part, self.largest, now)? {
+        let of_kind = self.kinds.entry(head.kind).or_default();
+        let message = match of_kind.insert(head, part, self.largest, now)? {
             Inserted::Whole(bytes, took) => {
                 self.counts.messages += 1;
-                self.counts.forgotten += lane.forget_before(head.seq);
+                self.counts.forgotten += of_kind.forget_before(head.seq);
                 Some(Arrived {
                     kind: head.kind,
                     seq: head.seq,
@@ -137,7 +137,7 @@ impl Receiver {
                 })
             }
             Inserted::Part => {
-                self.counts.forgotten += lane.forget_most();
+                self.counts.forgotten += of_kind.forget_most();
                 None
             }
             Inserted::Again => {
@@ -148,7 +148,7 @@ impl Receiver {
         Ok(Received {
             acknowledgement: head
                 .asks
-                .then(|| lane.acknowledge(head, now, message.is_some()))
+                .then(|| of_kind.acknowledge(head, now, message.is_some()))
                 .flatten(),
             message,
         })
@@ -161,23 +161,23 @@ impl Receiver {
 
     /// Bytes that incomplete messages take.
     pub fn held(&self) -> usize {
-        let incomplete = self.kinds.values().flat_map(|lane| lane.incomplete.values());
+        let incomplete = self.kinds.values().flat_map(|of_kind| of_kind.incomplete.values());
         incomplete.map(Incomplete::held).sum()
     }
 
     /// Forgets the incomplete message that takes most; `false` if there is none.
     pub fn forget_largest(&mut self) -> bool {
-        let lanes = self.kinds.values_mut();
-        let messages = lanes.flat_map(|lane| {
-            let held: Vec<(usize, u64)> = (lane.incomplete.iter())
+        let kinds = self.kinds.values_mut();
+        let messages = kinds.flat_map(|of_kind| {
+            let held: Vec<(usize, u64)> = (of_kind.incomplete.iter())
                 .map(|(seq, message)| (message.held(), *seq))
                 .collect();
-            held.into_iter().max().map(|largest| (largest, lane))
+            held.into_iter().max().map(|largest| (largest, of_kind))
         });
-        let Some(((_, seq), lane)) = messages.max_by_key(|(largest, _)| *largest) else {
+        let Some(((_, seq), of_kind)) = messages.max_by_key(|(largest, _)| *largest) else {
             return false;
         };
-        lane.incomplete.remove(&seq);
+        of_kind.incomplete.remove(&seq);
         self.counts.forgotten += 1;
         true
     }
@@ -190,7 +190,7 @@ enum Inserted {
     Again,
 }
 
-impl Lane {
+impl KindReceiver {
     fn insert(&mut self, head: &Head, part: Bytes, largest: usize, now: Nanos) -> Result<Inserted, Refusal> {
         let count = head.count as usize;
         if head.seq < self.from || self.given.contains(&head.seq) || (count > 1 && head.seq < self.newest) {

@@ -5,7 +5,7 @@ use std::collections::VecDeque;
 use bytes::Bytes;
 use realo_schemas::{Name, Nanos};
 
-use super::{Event, FIRST_QUESTIONS, Moment, Passed, QUESTIONS, SHEETS, Topic, UNPLACED};
+use super::{Event, FIRST_QUESTIONS, MessageId, Moment, QUESTIONS, SHEETS, Topic, UNPLACED};
 use crate::books::{Heard, News, Sent, Sheet};
 use crate::offset::{Exchange, Offset, Said};
 use crate::protocol::{Arrived, Frame, Receiver, Sender, is_bulk};
@@ -95,12 +95,12 @@ impl Peer {
 
     pub(super) fn pass_over(&mut self, place: usize, name: &Name) -> Event {
         let message = self.unplaced.remove(place);
-        Event::PassedOver(name.clone(), Passed::from(&message))
+        Event::Skipped(name.clone(), MessageId::from(&message))
     }
 
     pub(super) fn pass_all_over(&mut self, name: &Name, events: &mut Vec<Event>) {
-        let passed = self.unplaced.drain(..);
-        events.extend(passed.map(|message| Event::PassedOver(name.clone(), Passed::from(&message))));
+        let skipped = self.unplaced.drain(..);
+        events.extend(skipped.map(|message| Event::Skipped(name.clone(), MessageId::from(&message))));
     }
 
     /// Bytes of messages that are kept.

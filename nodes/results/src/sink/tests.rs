@@ -478,7 +478,7 @@ fn refuses_a_folder_of_somebody_else_before_the_run() {
 }
 
 #[test]
-fn without_being_told_the_graph_is_named_as_its_folder() {
+fn without_a_name_the_graph_is_named_as_its_folder() {
     let folder = tempfile::tempdir().unwrap();
     let out = folder.path().join("my_graph");
     let config = Settings {

@@ -19,7 +19,7 @@ use super::network::{Error, Network};
 use crate::arch::Model;
 use crate::network::Heads;
 
-/// Watches the steps of a call: told when each begins, and when it is done.
+/// Watches the steps of a call: hears when each begins, and when it is done.
 pub trait Watch {
     /// Does a step of a name.
     fn step(&mut self, name: &'static str, work: &mut dyn FnMut());

@@ -1,4 +1,6 @@
 //! Agents' maps in the ego's cells.
+//!
+//! This samples as `realo-kernels` does, but by operations on tensors: they run on a GPU, and gradients flow through them.
 
 use candle_core::{Result, Tensor};
 use realo_kernels::warp::Warp;

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::VERSION;
 use super::row::{Received, Row};
 use crate::config::ConfigError;
-use crate::{Class, Lane, Port, Queue, Registration, Role};
+use crate::{Class, Port, Queue, Registration, Role, Side};
 
 /// Ports of one side that a program may declare.
 const MOST_PORTS: usize = 64;
@@ -34,7 +34,7 @@ struct PortWords {
     #[serde(default)]
     accounts: bool,
     #[serde(default)]
-    lane: Option<Lane>,
+    lane: Option<Side>,
     #[serde(default)]
     wire: Option<String>,
 }
@@ -164,7 +164,7 @@ fn leaked_ports(ports: Vec<Declared>) -> &'static [Port] {
         join: port.words.join.as_deref().map(leaked),
         accounts: port.words.accounts,
         needed: None,
-        lane: port.words.lane,
+        side: port.words.lane,
         ends_early: false,
         wire: port.words.wire.as_deref().map(leaked),
     });
@@ -207,7 +207,7 @@ impl PortWords {
             required: port.required,
             join: port.join.map(Into::into),
             accounts: port.accounts,
-            lane: port.lane,
+            lane: port.side,
             wire: port.wire.map(Into::into),
         }
     }

@@ -274,9 +274,9 @@ fn waiting_sweeps_are_bounded() {
         ..Settings::default()
     });
     (0..30).for_each(|i| drop(run(&mut sync, [sweep("cav1", i, 100 * i as Nanos)])));
-    let lane = &sync.lanes["cav1"];
-    assert_eq!(lane.waiting.len(), 8);
-    assert_eq!(sync.lanes.get_mut("cav1").unwrap().unposed().len(), 22);
+    let track = &sync.tracks["cav1"];
+    assert_eq!(track.waiting.len(), 8);
+    assert_eq!(sync.tracks.get_mut("cav1").unwrap().unposed().len(), 22);
 }
 
 #[test]

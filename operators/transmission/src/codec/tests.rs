@@ -3,8 +3,8 @@ use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 use proptest::prelude::*;
 use realo_operator::{Operator, Outputs, PortId, Steps};
 use realo_schemas::{
-    AgentState, Box3, Boxes, DType, Elements, FeatureMap, Header, Kind, Message, Name, Packet, Payload, PointCloud,
-    Pose, PoseStatus,
+    AgentState, Box3, Boxes, DType, Elements, FeatureMap, Header, Kind, Message, Name, Nanos, Packet, Payload,
+    PointCloud, Pose, PoseStatus,
 };
 
 use super::*;
@@ -322,6 +322,30 @@ fn decoder_rejects_forged_oversized_and_unknown_packets() {
     assert!(refuse(usual(), &|_, packet| packet.codec.clear()).contains("end with plain"));
     assert!(refuse(limited(100), &|_, _| ()).contains("`max_bytes`"));
     assert!(TransmissionDecoder::new(limited(0)).is_err());
+}
+
+#[test]
+fn a_packet_moved_to_another_time_line_has_the_stamp_there() {
+    let mut decoder = Decoder::new(1 << 20).unwrap();
+    let mut read = |header: Header, packet: &Packet| decoder.message(header, packet, &mut Steps::default());
+    for message in messages() {
+        let (header, packet): (Header, Packet) = packet_of(message.clone()).into_parts().unwrap();
+        let moved = packet.clone().moved(-5_000_000_007);
+        let there = Header {
+            stamp: header.stamp - 5_000_000_007,
+            ..header.clone()
+        };
+        let (found, _) = read(there.clone(), &moved).unwrap();
+        assert_eq!(found.header.stamp, there.stamp);
+        assert_eq!(found.payload, read(header.clone(), &packet).unwrap().0.payload);
+        assert!(read(header, &moved).is_err());
+        assert!(read(there.clone(), &packet).is_err());
+        let twice = moved.moved(0);
+        assert!(matches!(read(there, &twice), Err(DecodeError::Codec(_))));
+    }
+    let largest = packet_of(messages().remove(0)).into_parts::<Packet>().unwrap();
+    let far = largest.1.moved(Nanos::MAX);
+    assert!(matches!(read(largest.0, &far), Err(DecodeError::Forged { .. })));
 }
 
 /// Whatever is accepted is sound, and says the same when it is sent on.

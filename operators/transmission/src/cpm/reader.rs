@@ -59,11 +59,13 @@ pub(crate) struct Parser {
 
 impl Parser {
     /// The message that a packet with these bytes is: agent, seq and stamp of the packet's header, boxes in `map`.
-    pub fn read(&self, header: Header, bytes: &[u8]) -> Result<(Message, Unused), DecodeError> {
+    ///
+    /// `moved`: how far the header's stamp was moved onto another time line, ns.
+    pub fn read(&self, header: Header, bytes: &[u8], moved: Nanos) -> Result<(Message, Unused), DecodeError> {
         let cpm = pdu(bytes)?;
         same("kind", &header.kind, &Kind::Boxes)?;
         same("station id", &station_of(&header.agent), &cpm.header.station_id.0)?;
-        let stamp = stamp_of(&cpm)?;
+        let stamp = stamp_of(&cpm)?.saturating_add(moved);
         let apart = header.stamp.checked_sub(stamp);
         if apart.is_none_or(|apart| !(-APART..=APART).contains(&apart)) {
             same("stamp", &header.stamp, &stamp)?;

@@ -8,7 +8,7 @@ use std::path::Path;
 use eyre::{Result, WrapErr, bail};
 use realo_graph::{FlatGraph, FlatNode, InputSource, TYPE_PREFIX};
 use realo_logs::{LaneStage, Log};
-use realo_operator::{Lane, Role};
+use realo_operator::{Role, Side};
 use realo_player::PlannedRun;
 use realo_schemas::PayloadType;
 use sha2::{Digest, Sha256};
@@ -43,7 +43,7 @@ impl SendingLane {
             let known = registration(link).map(|known| known.inputs).unwrap_or_default();
             let packets = known
                 .iter()
-                .filter(|port| port.lane == Some(Lane::Others) && port.types == [PayloadType::Packet]);
+                .filter(|port| port.side == Some(Side::Others) && port.types == [PayloadType::Packet]);
             let taken = packets.filter_map(|port| link.inputs.get(port.name)?.output());
             let of_sweeps = |source: &(&str, &str)| !carries_states(graph, source.0);
             sources.extend(
@@ -94,7 +94,7 @@ impl SendingLane {
         let mut outputs = players
             .filter(|known| known.role == Role::Source)
             .flat_map(|known| known.outputs);
-        outputs.any(|port| port.lane == Some(Lane::Ego) && self.played.contains(port.name))
+        outputs.any(|port| port.side == Some(Side::Ego) && self.played.contains(port.name))
     }
 
     /// All that decides what the lane makes of a log.
@@ -193,7 +193,7 @@ pub fn precomputed(
 /// Whether somebody takes what a link brings to the ego.
 fn is_heard(graph: &FlatGraph, link: &FlatNode) -> bool {
     let outputs = registration(link).map(|known| known.outputs).unwrap_or_default();
-    let to_ego = outputs.iter().filter(|port| port.lane == Some(Lane::OthersReceived));
+    let to_ego = outputs.iter().filter(|port| port.side == Some(Side::OthersReceived));
     let mut inputs = graph.nodes.iter().flat_map(|node| node.inputs.values());
     let to_ego: Vec<&str> = to_ego.map(|port| port.name).collect();
     inputs.any(|input| {

@@ -44,7 +44,7 @@ pub(crate) use dora::on_this_machine as dora_on_this_machine;
 pub(crate) use machine::{Check, checks, cores};
 pub(crate) use nodes::{argument, decided_argument};
 pub(crate) use pace::{Pace, pace};
-pub use prepare::{Lane, lane};
+pub use prepare::{LaneRun, lane};
 pub(crate) use replace::apply as replace_stages;
 pub use replay::replay;
 pub(crate) use resume::log_content;

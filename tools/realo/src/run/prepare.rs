@@ -276,7 +276,7 @@ fn report_machines(graph: &FlatGraph, path: &Path) {
 }
 
 /// The lane of the agents that send, alone.
-pub struct Lane {
+pub struct LaneRun {
     /// Its stages and the player, with all their arguments.
     pub graph: FlatGraph,
     /// The stage that gives packets to the link.
@@ -293,7 +293,7 @@ pub struct Lane {
 ///
 /// # Errors
 /// As [`batch`]; a graph in which nobody sends what is made of sweeps.
-pub fn lane(args: &Args) -> Result<Lane> {
+pub fn lane(args: &Args) -> Result<LaneRun> {
     let set = settings(args)?;
     let path = &realo_cli::find::graph(&args.graphs[0])?;
     let base = base_graph(args, &set, path)?;
@@ -337,7 +337,7 @@ pub fn lane(args: &Args) -> Result<Lane> {
     if lane.knows_ego(&graph) {
         eprintln!("realo: senders project: what they send is for {} alone", decisions.ego);
     }
-    Ok(Lane {
+    Ok(LaneRun {
         described: lane.described(&graph, &mut networks)?,
         graph: lane.cut_out(&graph),
         stage: lane.stage,

@@ -8,7 +8,7 @@ use crate::place::{CYCLE_LANE, LANE, REACH, Roads};
 
 /// A lane that comes in from the end of an arm.
 #[derive(Clone, Debug)]
-pub(crate) struct Lane {
+pub(crate) struct RoadLane {
     pub arm: usize,
     /// To the right of the road's middle, m.
     pub offset: f64,
@@ -45,7 +45,7 @@ pub(crate) struct Way {
 
 /// All lanes and ways.
 pub(crate) struct Network {
-    pub lanes: Vec<Lane>,
+    pub lanes: Vec<RoadLane>,
     pub ways: Vec<Way>,
 }
 
@@ -71,7 +71,7 @@ impl Network {
         let offset = index.map_or(roads.half[axis] - 0.5 * CYCLE_LANE, |i| (i as f64 + 0.5) * LANE);
         let lane = self.lanes.len();
         let stop = REACH - roads.stop(axis);
-        self.lanes.push(Lane {
+        self.lanes.push(RoadLane {
             arm,
             offset,
             cycles: index.is_none(),

@@ -10,7 +10,7 @@ mod pace;
 use std::f64::consts::PI;
 
 use super::lights::Lights;
-use super::network::{Lane, Network, Way};
+use super::network::{Network, RoadLane, Way};
 use super::zones::Zone;
 use crate::bodies::Class;
 use crate::path::{Motion, Path, TICK};
@@ -161,7 +161,7 @@ impl<'a> Traffic<'a> {
         &self.plan.network.ways[vehicle.way]
     }
 
-    fn lane(&self, vehicle: &Vehicle) -> &'a Lane {
+    fn lane(&self, vehicle: &Vehicle) -> &'a RoadLane {
         &self.plan.network.lanes[self.way(vehicle).lane]
     }
 

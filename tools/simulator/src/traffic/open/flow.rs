@@ -12,7 +12,7 @@ mod pace;
 mod right_of_way;
 mod vehicle;
 
-use super::lanes::{Kind, Lane, Lanes};
+use super::lanes::{Kind, Lanes, RoadLane};
 use super::signals::Signals;
 use crate::path::{Path, Pose2, TICK};
 use crate::place::{Control, Network, TrafficMix};
@@ -101,7 +101,7 @@ impl<'a> Flow<'a> {
         flow
     }
 
-    fn lane(&self, index: usize) -> &'a Lane {
+    fn lane(&self, index: usize) -> &'a RoadLane {
         &self.plan.lanes.lanes[index]
     }
 

@@ -48,7 +48,7 @@ pub(super) struct Over {
 
 /// A lane.
 #[derive(Clone, Debug)]
-pub(super) struct Lane {
+pub(super) struct RoadLane {
     pub path: Path,
     pub kind: Kind,
     pub limit: f64,
@@ -79,17 +79,17 @@ pub(super) struct Zebra {
 
 /// All lanes of a place.
 pub(super) struct Lanes {
-    pub lanes: Vec<Lane>,
+    pub lanes: Vec<RoadLane>,
     pub crossings: Vec<Zebra>,
 }
 
-fn lane(path: Path, kind: Kind, limit: f64) -> Lane {
+fn lane(path: Path, kind: Kind, limit: f64) -> RoadLane {
     let tightest = path
         .pieces()
         .filter(|(from, to, _)| to - from > 0.05)
         .map(|(_, _, curvature)| 1.0 / curvature.abs().max(1e-6))
         .fold(f64::INFINITY, f64::min);
-    Lane {
+    RoadLane {
         path,
         kind,
         limit,

@@ -4,11 +4,11 @@ use super::{Traffic, Vehicle};
 use crate::bodies::Class;
 use crate::random::Stream;
 use crate::traffic::following::WARM_UP;
-use crate::traffic::grid::network::{Lane, Network, Turn};
+use crate::traffic::grid::network::{Network, RoadLane, Turn};
 
 impl<'a> Traffic<'a> {
     /// Mean distance from one vehicle to the next, m.
-    pub(super) fn gap(&self, lane: &Lane) -> f64 {
+    pub(super) fn gap(&self, lane: &RoadLane) -> f64 {
         if lane.cycles {
             2.2 * self.plan.gap
         } else {
@@ -103,7 +103,7 @@ fn lane_has_middle(network: &Network, lane: usize) -> bool {
         .any(|other| other.arm == own.arm && other.offset < own.offset)
 }
 
-fn class_for(lane: &Lane, outer: bool, draws: &mut Stream) -> Class {
+fn class_for(lane: &RoadLane, outer: bool, draws: &mut Stream) -> Class {
     let draw = draws.unit();
     if lane.cycles {
         return if draw < 0.6 { Class::Bicycle } else { Class::Scooter };

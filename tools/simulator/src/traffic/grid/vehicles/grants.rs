@@ -3,7 +3,7 @@
 use super::{Crossing, Traffic, Vehicle};
 use crate::traffic::following::BRAKE;
 use crate::traffic::grid::lights::Light;
-use crate::traffic::grid::network::{Lane, Turn, Way};
+use crate::traffic::grid::network::{RoadLane, Turn, Way};
 
 impl<'a> Traffic<'a> {
     /// Takes back grants that are over, and those of vehicles that can still stop for a light that is no longer green.
@@ -54,7 +54,7 @@ impl<'a> Traffic<'a> {
     }
 
     /// Whether the lights let somebody set out.
-    fn open(&self, lane: &Lane, way: &Way, t: f64) -> bool {
+    fn open(&self, lane: &RoadLane, way: &Way, t: f64) -> bool {
         let axis = lane.arm % 2;
         self.plan.lights.show(axis, t) == Light::Green || way.turn == Turn::Left && self.plan.lights.arrow(axis, t)
     }

@@ -3,7 +3,7 @@
 use super::vehicle::{Leg, Vehicle};
 use super::{Flow, SIGHT, SLOW};
 use crate::bodies::Class;
-use crate::traffic::open::lanes::Lane;
+use crate::traffic::open::lanes::RoadLane;
 
 impl<'a> Flow<'a> {
     /// Whether a lane and some way on from it are wide and straight enough for a class.
@@ -48,7 +48,7 @@ impl<'a> Flow<'a> {
         }
     }
 
-    fn choose(&self, lane: &Lane, vehicle: &mut Vehicle) -> Option<usize> {
+    fn choose(&self, lane: &RoadLane, vehicle: &mut Vehicle) -> Option<usize> {
         let fits = |next: &&(usize, f64)| self.carries(vehicle.class, next.0, 0);
         let mut all: Vec<(usize, f64)> = lane.next.iter().filter(fits).copied().collect();
         if all.is_empty() {

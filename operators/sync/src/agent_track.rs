@@ -45,7 +45,7 @@ pub struct Unposed {
 }
 
 /// One agent.
-pub struct Lane {
+pub struct AgentTrack {
     track: PoseTrack,
     max_gap: Nanos,
     points: VecDeque<PosePoint>,
@@ -57,11 +57,11 @@ pub struct Lane {
     unposed: Vec<Unposed>,
 }
 
-impl Lane {
+impl AgentTrack {
     /// Nothing known yet; gaps of at most `max_gap` ns are bridged.
     pub fn new(max_gap: Nanos) -> Self {
         let (points, waiting) = (VecDeque::new(), VecDeque::new());
-        Lane {
+        AgentTrack {
             track: PoseTrack::new(KEEP, max_gap),
             max_gap,
             points,

@@ -15,7 +15,7 @@ use crate::fused::{fused, fused_sweeps};
 use crate::{Judged, RenderError};
 
 /// A run of one log and ego, as it was recorded: which sweeps it has. What is in them is read when it is looked at.
-pub(super) struct Cell {
+pub(super) struct RecordedRun {
     pub result: RunResult,
     pub log: Log,
     pub protocol: Protocol,
@@ -44,7 +44,7 @@ pub(super) struct Best {
     pub judged: Judged,
 }
 
-impl Cell {
+impl RecordedRun {
     pub(super) fn read(folder: &Path, run: Run, request: &Request) -> Result<Self, RenderError> {
         let recording = folder.join(RECORDING);
         if !recording.exists() {
@@ -69,7 +69,7 @@ impl Cell {
             Some(Evaluation { protocol, .. }) => protocol,
             None => Protocol::load(&log.info().protocol)?,
         };
-        Ok(Cell {
+        Ok(RecordedRun {
             result: run.result,
             log,
             protocol,
