@@ -116,7 +116,8 @@ type Played = Vec<(Nanos, &'static str, Message)>;
 fn play(config: Settings) -> (Played, Player) {
     let mut player = Player::new(config).unwrap();
     let mut played = Vec::new();
-    while let Some((time, port, message)) = player.next().unwrap() {
+    while let Some((time, output)) = player.next().unwrap() {
+        let (port, message) = output.into_message();
         played.push((time, Output::PORTS[port.0].name, message));
     }
     assert!(player.next().unwrap().is_none());

@@ -11,6 +11,7 @@ pub mod books;
 pub mod clock;
 pub mod course;
 mod endpoint;
+mod error;
 pub mod keys;
 pub mod network;
 mod node;
@@ -23,4 +24,5 @@ pub mod station;
 mod unheard;
 
 pub use endpoint::{Endpoint, NoEndpoint};
+pub use error::RadioError;
 pub use node::{Radio, Settings};

@@ -11,7 +11,6 @@ use serde::{Deserialize, Serialize};
 
 /// Settings of [`DetectionHead`].
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// The model file; its weights lie beside it.
     #[setting(default = "../models/lite.toml", role = "model")]
@@ -36,7 +35,9 @@ pub struct Settings {
 #[error("argument `score_threshold`: expected 0 to 1, found {0}")]
 pub struct ScoreThreshold(f32);
 
-/// The operator `detection-head`.
+/// Finds boxes in BEV maps: the heads of a PointPillars model, decoded.
+#[derive(Describe)]
+#[stage(counters(OVER_LIMIT_BOXES, INVALID_BOXES))]
 pub struct DetectionHead {
     engine: Engine,
     decoder: Decoder,
@@ -69,17 +70,8 @@ pub enum Output {
     Proposals(Header, Boxes),
 }
 
-impl Describe for DetectionHead {
-    type Settings = Settings;
-    type Input = Input;
-    type Output = Output;
-    const NAME: &'static str = "detection-head";
-    const ABOUT: &'static str = "From BEV maps to boxes: the heads of a PointPillars model, decoded";
-    const COUNTERS: &'static [Counter] = &[OVER_LIMIT_BOXES, INVALID_BOXES];
-}
-
 impl Operator for DetectionHead {
-    fn new(settings: Settings) -> Result<Self, Error> {
+    fn build(settings: Settings) -> Result<Self, Error> {
         let kernels = Kernels {
             isa: &settings.isa,
             precision: &settings.precision,
@@ -97,7 +89,7 @@ impl Operator for DetectionHead {
         })
     }
 
-    fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, input: Input, out: &mut Outputs<Output>) -> Result<(), Error> {
         let Input::Features(header, map) = input;
         let heads = self.engine.heads(self.maps.read(&map)?.view(), out.steps())?;
         let found = self.decoder.decode(&heads.scores, &heads.deltas);

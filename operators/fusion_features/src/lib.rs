@@ -15,13 +15,12 @@ use realo_fusion::{Collaborator, Input, Pairing};
 use realo_kernels::agents::Agent;
 use realo_kernels::warp::Warp;
 use realo_methods::Kernels;
-use realo_operator::{Counter, Describe, Error, Operator, Outputs, Settings};
+use realo_operator::{Describe, Error, Operator, Outputs, Settings};
 use realo_schemas::{Elements, FeatureMap, Header, Name, Nanos};
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`FusionFeatures`].
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// The model file, whose arch fuses; its weights lie beside it.
     #[setting(default = "../models/lite-attfuse.toml", role = "model")]
@@ -76,7 +75,9 @@ pub enum FeatureError {
     Refused(String),
 }
 
-/// The operator `fusion-features`.
+/// Intermediate fusion: brings collaborators' BEV maps to the ego's and fuses them.
+#[derive(Describe)]
+#[stage(input = Input<FeatureMap>, counters = realo_fusion::COUNTERS)]
 pub struct FusionFeatures {
     engine: Engine,
     maps: Maps,
@@ -93,17 +94,8 @@ pub enum Output {
     Features(Header, FeatureMap),
 }
 
-impl Describe for FusionFeatures {
-    type Settings = Settings;
-    type Input = Input<FeatureMap>;
-    type Output = Output;
-    const NAME: &'static str = "fusion-features";
-    const ABOUT: &'static str = "intermediate fusion: brings collaborators' BEV maps to the ego's and fuses them";
-    const COUNTERS: &'static [Counter] = realo_fusion::COUNTERS;
-}
-
 impl Operator for FusionFeatures {
-    fn new(settings: Settings) -> Result<Self, Error> {
+    fn build(settings: Settings) -> Result<Self, Error> {
         let kernels = Kernels {
             isa: &settings.isa,
             precision: &settings.precision,
@@ -141,7 +133,7 @@ impl Operator for FusionFeatures {
         })
     }
 
-    fn on_input(&mut self, input: Input<FeatureMap>, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, input: Input<FeatureMap>, out: &mut Outputs<Output>) -> Result<(), Error> {
         let Some(mut set) = self.pairing.take(input, Some(self.limit))? else {
             return Ok(());
         };

@@ -14,7 +14,7 @@ mod vote;
 use std::collections::BTreeMap;
 
 use grid::Neighbours;
-use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings, StageSettings};
+use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings};
 use realo_schemas::geometry::{Footprint, Region, box_fault, is_plausible};
 use realo_schemas::{Box3, Boxes, Header};
 use serde::{Deserialize, Serialize};
@@ -24,7 +24,6 @@ use vote::vote;
 
 /// Settings of [`Nms`].
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// IoU above which the worse box is dropped.
     #[setting(default = 0.15, range = 0.0..=1.0)]
@@ -161,7 +160,9 @@ pub enum NmsError {
     Region(String),
 }
 
-/// The operator `nms`.
+/// Drops the worse of boxes that overlap (rotated IoU on the ground plane).
+#[derive(Describe)]
+#[stage(counters(INVALID_BOXES, OUTSIDE_BOXES, LOW_SCORE_BOXES, OVER_LIMIT_BOXES, SUPPRESSED_BOXES))]
 pub struct Nms {
     settings: Settings,
     region: Option<Region>,
@@ -199,24 +200,8 @@ pub enum Output {
     Boxes(Header, Boxes),
 }
 
-impl Describe for Nms {
-    type Settings = Settings;
-    type Input = Input;
-    type Output = Output;
-    const NAME: &'static str = "nms";
-    const ABOUT: &'static str = "drops the worse of boxes that overlap (rotated IoU on the ground plane)";
-    const COUNTERS: &'static [Counter] = &[
-        INVALID_BOXES,
-        OUTSIDE_BOXES,
-        LOW_SCORE_BOXES,
-        OVER_LIMIT_BOXES,
-        SUPPRESSED_BOXES,
-    ];
-}
-
 impl Operator for Nms {
-    fn new(settings: Settings) -> Result<Self, Error> {
-        settings.check()?;
+    fn build(settings: Settings) -> Result<Self, Error> {
         let [min, found] = [settings.threshold, settings.vote];
         if !(min..=1.0).contains(&found) {
             return Err(NmsError::Vote { min, found }.into());
@@ -225,7 +210,7 @@ impl Operator for Nms {
         Ok(Nms { settings, region })
     }
 
-    fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, input: Input, out: &mut Outputs<Output>) -> Result<(), Error> {
         let Input::Proposals(header, Boxes(boxes)) = input;
         let outcome = nms(&boxes, &self.settings, self.region.as_ref());
         let (agent, all) = (header.agent.clone(), boxes.len() as u64);
@@ -270,7 +255,7 @@ mod tests {
         Header::origin(&"run".into(), &"cav1".into(), Kind::Boxes, 7, 1000, 1000)
     }
 
-    fn run(settings: Settings, boxes: Vec<Box3>) -> (Vec<Box3>, Outputs) {
+    fn run(settings: Settings, boxes: Vec<Box3>) -> (Vec<Box3>, Outputs<Output>) {
         let mut operator = Nms::new(settings).unwrap();
         let mut out = Outputs::at(1000);
         operator

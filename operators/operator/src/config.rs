@@ -163,6 +163,9 @@ mod tests {
         /// Time, ms.
         #[setting(range = 1..)]
         window_ms: Option<u32>,
+        /// Time by time.
+        #[setting(default = 1.0, range = 0.0<..=8.0)]
+        rate: f64,
     }
 
     fn read(args: &[&str]) -> Result<Settings, ConfigError> {
@@ -177,6 +180,7 @@ mod tests {
             ego: "7".into(),
             agents: vec!["a".into(), "b".into()],
             window_ms: Some(5),
+            rate: 1.0,
         };
         assert_eq!(settings, expected);
         assert_eq!(read(&[]).unwrap(), Settings::default());
@@ -196,11 +200,14 @@ mod tests {
     }
     #[test]
     fn refuses_what_is_out_of_range() {
-        assert!(read(&["threshold=1", "window_ms=null"]).is_ok());
+        assert!(read(&["threshold=1", "window_ms=null", "rate=8"]).is_ok());
+        assert!(read(&["rate=1e-9"]).is_ok());
         let cases = [
             ("threshold=1.01", "argument `threshold`: expected 0 to 1, found 1.01"),
             ("threshold=.nan", "argument `threshold`: expected 0 to 1, found NaN"),
             ("window_ms=0", "argument `window_ms`: expected at least 1, found 0"),
+            ("rate=0", "argument `rate`: expected above 0, up to 8, found 0"),
+            ("rate=.inf", "argument `rate`: expected above 0, up to 8, found inf"),
         ];
         for (arg, expected) in cases {
             assert_eq!(read(&[arg]).unwrap_err().to_string(), expected);

@@ -24,7 +24,6 @@ pub struct Argument {
 /// use serde::{Deserialize, Serialize};
 ///
 /// #[derive(Debug, Settings, Serialize, Deserialize)]
-/// #[serde(default, deny_unknown_fields)]
 /// struct Suppression {
 ///     /// IoU above which the box with the lower score is dropped.
 ///     #[setting(default = 0.15, range = 0.0..=1.0)]

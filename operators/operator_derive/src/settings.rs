@@ -60,7 +60,7 @@ fn setting(field: &Field) -> Result<Setting<'_>> {
         range: None,
         role: None,
     };
-    for Word { name, value } in words(&field.attrs, "setting")? {
+    for Word { name, value, .. } in words(&field.attrs, "setting")? {
         match name.to_string().as_str() {
             "default" => setting.default = default(value),
             "range" => setting.range = Some((value.clone(), range_words(&name, &value)?)),
@@ -90,7 +90,16 @@ fn default(value: TokenStream) -> TokenStream {
 /// What a range says, in words.
 fn range_words(at: &Ident, range: &TokenStream) -> Result<String> {
     let text: String = range.to_string().split_whitespace().collect();
-    let wrong = || Error::new(at.span(), "expected a range of numbers, such as `0.0..=1.0` or `1..`");
+    let wrong = || {
+        Error::new(
+            at.span(),
+            "expected a range of numbers, such as `0.0..=1.0`, `1..` or `0.0<..`",
+        )
+    };
+    let (text, is_above) = match text.split_once('<') {
+        Some((first, rest)) => (format!("{first}{rest}"), true),
+        None => (text, false),
+    };
     let (first, last, is_inclusive) = match (text.split_once("..="), text.split_once("..")) {
         (Some((first, last)), _) => (first, last, true),
         (None, Some((first, last))) => (first, last, false),
@@ -101,6 +110,10 @@ fn range_words(at: &Ident, range: &TokenStream) -> Result<String> {
         text => text.replace('_', "").parse::<f64>().map(Some).map_err(|_| wrong()),
     };
     match (number(first)?, number(last)?) {
+        (Some(first), Some(last)) if is_above && is_inclusive => Ok(format!("above {first}, up to {last}")),
+        (Some(first), Some(last)) if is_above => Ok(format!("above {first}, below {last}")),
+        (Some(first), None) if is_above => Ok(format!("above {first}")),
+        _ if is_above => Err(wrong()),
         (Some(first), Some(last)) if is_inclusive => Ok(format!("{first} to {last}")),
         (Some(first), Some(last)) => Ok(format!("{first} to below {last}")),
         (Some(first), None) => Ok(format!("at least {first}")),
@@ -124,12 +137,33 @@ fn argument(setting: &Setting) -> TokenStream {
     }
 }
 
+/// A range as an expression; Rust has none for `0.0<..`, which leaves out its start.
+fn bounds(range: &TokenStream) -> TokenStream {
+    let tokens: Vec<TokenTree> = range.clone().into_iter().collect();
+    let is = |token: &TokenTree, letter: char| matches!(token, TokenTree::Punct(punct) if punct.as_char() == letter);
+    let Some(at) = tokens.iter().position(|token| is(token, '<')) else {
+        return range.clone();
+    };
+    let start: TokenStream = tokens[..at].iter().cloned().collect();
+    let is_dot = |token: &TokenTree| is(token, '.');
+    let end = tokens[at + 1..].iter().cloned().skip_while(is_dot);
+    let is_inclusive = end.clone().next().is_some_and(|token| is(&token, '='));
+    let end: TokenStream = end.skip_while(|token| is(token, '=')).collect();
+    let end = match (end.is_empty(), is_inclusive) {
+        (true, _) => quote!(::core::ops::Bound::Unbounded),
+        (false, true) => quote!(::core::ops::Bound::Included(#end)),
+        (false, false) => quote!(::core::ops::Bound::Excluded(#end)),
+    };
+    quote!((::core::ops::Bound::Excluded(#start), #end))
+}
+
 fn check(setting: &Setting) -> Option<TokenStream> {
     let (range, words) = setting.range.as_ref()?;
     let name = setting.name;
     let key = name.to_string();
+    let range = bounds(range);
     let test = quote! {
-        if !(#range).contains(found) {
+        if !::core::ops::RangeBounds::contains(&(#range), found) {
             return ::core::result::Result::Err(::realo_operator::config::ConfigError::range(#key, #words, found));
         }
     };
@@ -163,6 +197,10 @@ mod tests {
             (quote!(..=1.0), Some("up to 1")),
             (quote!(-7..=19), Some("-7 to 19")),
             (quote!(..1_000), Some("below 1000")),
+            (quote!(0.0 < ..=1e6), Some("above 0, up to 1000000")),
+            (quote!(0 < ..1), Some("above 0, below 1")),
+            (quote!(0.0 < ..), Some("above 0")),
+            (quote!(<..1), None),
             (quote!(..), None),
             (quote!(MOST), None),
             (quote!(0..MOST), None),

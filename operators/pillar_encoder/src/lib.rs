@@ -17,7 +17,6 @@ use serde::{Deserialize, Serialize};
 
 /// Settings of [`PillarEncoder`].
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// The model file; its weights lie beside it.
     #[setting(default = "../models/lite.toml", role = "model")]
@@ -39,7 +38,9 @@ pub struct Settings {
     pub copied: Elements,
 }
 
-/// The operator `pillar-encoder`.
+/// Makes BEV maps of sweeps: pillars, pillar net and backbone of a PointPillars model.
+#[derive(Describe)]
+#[stage(counters(EMPTY_SWEEPS, NAN_POINTS, OUT_OF_RANGE_POINTS, OVER_POINTS, OVER_PILLARS))]
 pub struct PillarEncoder {
     pillarer: Pillarer,
     engine: Engine,
@@ -82,17 +83,8 @@ pub enum Output {
     Features(Header, FeatureMap),
 }
 
-impl Describe for PillarEncoder {
-    type Settings = Settings;
-    type Input = Input;
-    type Output = Output;
-    const NAME: &'static str = "pillar-encoder";
-    const ABOUT: &'static str = "From sweeps to BEV maps: pillars, pillar net and backbone of a PointPillars model";
-    const COUNTERS: &'static [Counter] = &[EMPTY_SWEEPS, NAN_POINTS, OUT_OF_RANGE_POINTS, OVER_POINTS, OVER_PILLARS];
-}
-
 impl Operator for PillarEncoder {
-    fn new(settings: Settings) -> Result<Self, Error> {
+    fn build(settings: Settings) -> Result<Self, Error> {
         let kernels = Kernels {
             isa: &settings.isa,
             precision: &settings.precision,
@@ -108,7 +100,7 @@ impl Operator for PillarEncoder {
         })
     }
 
-    fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, input: Input, out: &mut Outputs<Output>) -> Result<(), Error> {
         let Input::Clouds(header, cloud) = input;
         let (map, dropped) = self.encode(&cloud, out.steps())?;
         let agent = header.agent.clone();

@@ -12,7 +12,6 @@ const INVALID_BOXES: Counter = Counter::log_fault(
 
 /// Recorded detections have no settings.
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
 pub struct Settings {}
 
 /// The boxes that a detector could have found, in their order: those without a [`geometry::detection_fault`].
@@ -37,7 +36,9 @@ pub enum RecordedError {
     },
 }
 
-/// Replays the detections that a log recorded.
+/// Replays the detections that the log recorded for each sweep, in place of a detector.
+#[derive(Describe)]
+#[stage(counters(INVALID_BOXES))]
 pub struct RecordedDetections {
     /// Header of the sweep whose boxes come next.
     sweep: Option<Header>,
@@ -61,21 +62,12 @@ pub enum Output {
     Proposals(Header, Boxes),
 }
 
-impl Describe for RecordedDetections {
-    type Settings = Settings;
-    type Input = Input;
-    type Output = Output;
-    const NAME: &'static str = "recorded-detections";
-    const ABOUT: &'static str = "Replays the detections that the log recorded for each sweep, in place of a detector";
-    const COUNTERS: &'static [Counter] = &[INVALID_BOXES];
-}
-
 impl Operator for RecordedDetections {
-    fn new(_settings: Settings) -> Result<Self, Error> {
+    fn build(_settings: Settings) -> Result<Self, Error> {
         Ok(RecordedDetections { sweep: None })
     }
 
-    fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, input: Input, out: &mut Outputs<Output>) -> Result<(), Error> {
         match input {
             Input::Clouds(header, _) => self.sweep = Some(header),
             Input::Recorded(recorded, boxes) => {

@@ -219,7 +219,7 @@ impl Writer {
                 }
                 put(out, bytes, coding.zstd)?;
             }
-            Ok(())
+            Ok::<(), EncodeError>(())
         })?;
         Ok(Written {
             coding,
