@@ -12,7 +12,8 @@ use syn::{DeriveInput, parse_macro_input};
 
 /// Makes the settings of a stage from a struct: `Default`, the list of arguments, and the check of ranges.
 ///
-/// A field may say `#[setting(default = …, range = …, role = "…")]`. A default that is not given is the type's own. A range is
+/// A field may say `#[setting(default = …, range = …, role = "…")]`, or `#[setting(flatten)]` beside `#[serde(flatten)]`: then its
+/// own settings stand in its place. A default that is not given is the type's own. A range is
 /// one of Rust's with numbers as bounds, or `0.0<..=1.0`, which leaves out its start; `None` is always inside. A role is a word that tools look for.
 #[proc_macro_derive(Settings, attributes(setting))]
 pub fn settings(input: TokenStream) -> TokenStream {

@@ -14,6 +14,8 @@ struct Setting<'a> {
     default: TokenStream,
     range: Option<(TokenStream, String)>,
     role: Option<TokenStream>,
+    /// Its type, where that has arguments of its own, which stand in its place.
+    part: Option<&'a Type>,
 }
 
 pub fn derive(input: &DeriveInput) -> Result<TokenStream> {
@@ -25,7 +27,7 @@ pub fn derive(input: &DeriveInput) -> Result<TokenStream> {
         _ => return Err(Error::new_spanned(input, "expected a struct")),
     };
     let settings = fields.iter().map(setting).collect::<Result<Vec<_>>>()?;
-    let arguments = settings.iter().map(argument);
+    let arguments = arguments(&settings);
     let checks = settings.iter().filter_map(check);
     let defaults = settings
         .iter()
@@ -38,7 +40,7 @@ pub fn derive(input: &DeriveInput) -> Result<TokenStream> {
             }
         }
         impl ::realo_operator::StageSettings for #name {
-            const ARGUMENTS: &'static [::realo_operator::Argument] = &[#(#arguments),*];
+            const ARGUMENTS: &'static [::realo_operator::Argument] = #arguments;
             fn check(&self) -> ::core::result::Result<(), ::realo_operator::config::ConfigError> {
                 #(#checks)*
                 ::core::result::Result::Ok(())
@@ -59,13 +61,15 @@ fn setting(field: &Field) -> Result<Setting<'_>> {
         default: quote!(::core::default::Default::default()),
         range: None,
         role: None,
+        part: None,
     };
     for Word { name, value, .. } in words(&field.attrs, "setting")? {
         match name.to_string().as_str() {
             "default" => setting.default = default(value),
             "range" => setting.range = Some((value.clone(), range_words(&name, &value)?)),
             "role" => setting.role = Some(value),
-            _ => return Err(Error::new(name.span(), "expected `default`, `range` or `role`")),
+            "flatten" => setting.part = Some(&field.ty),
+            _ => return Err(Error::new(name.span(), "expected `default`, `range`, `role` or `flatten`")),
         }
     }
     Ok(setting)
@@ -123,6 +127,25 @@ fn range_words(at: &Ident, range: &TokenStream) -> Result<String> {
     }
 }
 
+/// The list of arguments; where a part has some of its own, they stand in its place.
+fn arguments(settings: &[Setting]) -> TokenStream {
+    if settings.iter().all(|setting| setting.part.is_none()) {
+        let arguments = settings.iter().map(argument);
+        return quote!(&[#(#arguments),*]);
+    }
+    let parts = settings.iter().map(|setting| match setting.part {
+        Some(part) => quote!(<#part as ::realo_operator::StageSettings>::ARGUMENTS),
+        None => {
+            let argument = argument(setting);
+            quote!(&[#argument])
+        }
+    });
+    quote! {{
+        const PARTS: &[&[::realo_operator::Argument]] = &[#(#parts),*];
+        &::realo_operator::Argument::joined::<{ ::realo_operator::Argument::count(PARTS) }>(PARTS)
+    }}
+}
+
 fn argument(setting: &Setting) -> TokenStream {
     let Setting { name, about, .. } = setting;
     let optional = |value: Option<TokenStream>| match value {
@@ -158,8 +181,11 @@ fn bounds(range: &TokenStream) -> TokenStream {
 }
 
 fn check(setting: &Setting) -> Option<TokenStream> {
-    let (range, words) = setting.range.as_ref()?;
     let name = setting.name;
+    if setting.part.is_some() {
+        return Some(quote!(::realo_operator::StageSettings::check(&self.#name)?;));
+    }
+    let (range, words) = setting.range.as_ref()?;
     let key = name.to_string();
     let range = bounds(range);
     let test = quote! {
@@ -238,7 +264,7 @@ mod tests {
                 threshold: f64,
             }
         ));
-        assert!(error.unwrap_err().contains("expected `default`, `range` or `role`"));
+        assert!(error.unwrap_err().contains("expected `default`, `range`, `role` or `flatten`"));
         let error = derived(quote!(
             enum Settings {
                 One,

@@ -7,10 +7,10 @@
 
 use std::path::PathBuf;
 
-use realo_bev::{Device, Engine, Maps};
+use realo_bev::{Computing, Engine, Maps};
 use realo_kernels::bev::BevView;
 use realo_methods::detect::pillars::{Dropped, Points};
-use realo_methods::{Kernels, Pillarer};
+use realo_methods::Pillarer;
 use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings, Steps};
 use realo_schemas::{Elements, FeatureMap, Header, Kind, PointCloud};
 use serde::{Deserialize, Serialize};
@@ -21,19 +21,12 @@ pub struct Settings {
     /// The model file; its weights lie beside it.
     #[setting(default = "../models/lite.toml", role = "model")]
     pub model: PathBuf,
-    /// Kernels: auto, portable, avx2, avx512, avx512bf16 or amx.
-    #[setting(default = realo_methods::AUTO.into(), role = "isa")]
-    pub isa: String,
-    /// Number type: auto (the model's), f32, bf16 or int8.
-    #[setting(default = realo_methods::AUTO.into(), role = "precision")]
-    pub precision: String,
-    /// Threads of the network; 0: one for each processor.
-    pub threads: usize,
+    /// How the network is computed.
+    #[setting(flatten)]
+    #[serde(flatten)]
+    pub computing: Computing,
     /// Whether maps tell how sure the model's head is of each cell, which transmission-encoder can choose by.
     pub confidence: bool,
-    /// What computes the network: cpu, or cuda where the build has it.
-    #[setting(role = "device")]
-    pub device: Device,
     /// What numbers of maps leave a GPU as: f32, f16, or int8 with a scale for each channel of each map.
     pub copied: Elements,
 }
@@ -85,18 +78,13 @@ pub enum Output {
 
 impl Operator for PillarEncoder {
     fn build(settings: Settings) -> Result<Self, Error> {
-        let kernels = Kernels {
-            isa: &settings.isa,
-            precision: &settings.precision,
-            threads: settings.threads,
-        };
-        let loaded = realo_methods::load(&settings.model, kernels)?;
+        let loaded = settings.computing.load(&settings.model)?;
         loaded.model.check_frame(&settings.model)?;
         Ok(PillarEncoder {
             maps: Maps::of(&loaded),
             confidence: settings.confidence,
             pillarer: Pillarer::beside(&loaded.network, &loaded.model, &loaded.weights),
-            engine: Engine::new(loaded, settings.device, settings.copied)?,
+            engine: Engine::new(loaded, settings.computing.device, settings.copied)?,
         })
     }
 
@@ -245,7 +233,10 @@ mod tests {
         );
         assert!(encoder().on_message(PortId(1), message, &mut Outputs::at(0)).is_err());
         let error = PillarEncoder::new(Settings {
-            isa: "sse9".into(),
+            computing: Computing {
+                isa: "sse9".into(),
+                ..Computing::default()
+            },
             ..Settings::default()
         });
         assert!(error.is_err());
