@@ -102,13 +102,13 @@ pub struct Settings {
     /// With `clock=wall`, how much stamps are ahead of the wall clock: a clock that is off.
     #[setting(range = -1e7..=1e7)]
     pub skew_ms: f64,
-    /// Who collaborates: all, v2v, v2i or i2i.
+    /// Who collaborates: `all`, `v2v`, `v2i` or `i2i`.
     #[setting(default = Coop::All, role = "coop")]
     pub coop: Coop,
     /// Who may take part; empty: all.
     #[setting(role = "agents")]
     pub agents: Vec<String>,
-    /// Poses that are sent: recorded or true.
+    /// Poses that are sent: `recorded` or `true`.
     #[setting(default = PoseSource::Recorded)]
     pub pose: PoseSource,
     /// Ready times are stamps, poses are exact where known.
@@ -117,7 +117,7 @@ pub struct Settings {
     /// Whether sweeps have their points.
     #[setting(default = true, role = "points")]
     pub points: bool,
-    /// Recorded detections: optional, required or off.
+    /// Recorded detections: `optional`, `required` or `off`.
     #[setting(default = Detections::Optional, role = "detections")]
     pub detections: Detections,
     /// Whether the log's packets of the collaborators are played, and their sweeps without points.

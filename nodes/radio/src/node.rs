@@ -44,7 +44,7 @@ pub struct Settings {
     /// Agents of one site hear each other.
     #[setting(default = "realo")]
     pub site: String,
-    /// Addresses where others connect, tcp/HOST:PORT or tls/HOST:PORT; each takes the port behind it too.
+    /// Addresses where others connect, `tcp/HOST:PORT` or `tls/HOST:PORT`; each takes the port behind it too.
     pub listen: Vec<Endpoint>,
     /// Addresses of others.
     pub connect: Vec<Endpoint>,

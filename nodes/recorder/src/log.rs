@@ -21,7 +21,7 @@ pub struct Settings {
     /// Whose sensors they are.
     #[setting(role = "ego")]
     pub agent: String,
-    /// Vehicle or roadside, where `like` does not tell.
+    /// What the agent is, `vehicle` or `roadside`, where `like` does not tell.
     #[setting(default = AgentKind::Vehicle)]
     pub kind: AgentKind,
     /// A log with this agent, which tells its kind, outline and sensor: the one that is played; empty = none.

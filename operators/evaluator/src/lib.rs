@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 /// Settings of [`Evaluator`].
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 pub struct Settings {
-    /// What counts: default, dair, dair-vehicle, dair-roadside, or the path of a protocol file.
+    /// What counts: `default`, `dair`, `dair-vehicle`, `dair-roadside`, or the path of a protocol file.
     #[setting(default = "default", role = "protocol")]
     pub protocol: String,
 }

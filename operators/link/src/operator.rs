@@ -10,7 +10,7 @@ use crate::{Arrivals, Medium, Model, Passed, Profile, transmit};
 /// Settings of the link.
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 pub struct Settings {
-    /// Channel model: perfect, paper, a .toml or .yml file, or settings: delay_ms=90,loss=0.05.
+    /// Channel model: `perfect`, `paper`, a .toml or .yml file, or settings: `delay_ms=90,loss=0.05`.
     #[setting(default = "perfect", role = "link")]
     pub profile: String,
     /// Max distance in (x, y) over which packets are sent, m; inclusive.

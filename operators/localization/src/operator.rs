@@ -29,7 +29,7 @@ pub enum NoiseDraws {
 /// Settings of localization.
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 pub struct Settings {
-    /// Recorded (as the log gives them) or true (refuses any other).
+    /// Poses that are taken: `recorded` (as the log gives them) or `true` (refuses any other).
     pub source: Source,
     /// Standard deviation of normal errors of x, y and z, m.
     #[setting(range = 0.0..=1000.0)]
@@ -37,7 +37,7 @@ pub struct Settings {
     /// Standard deviation of normal errors of the heading, degrees.
     #[setting(range = 0.0..=180.0)]
     pub heading_noise_deg: f64,
-    /// Each (an error for each agent and sweep) or same (one for all, as V2X-Real draws it).
+    /// Errors of poses: `each` (one for each agent and sweep) or `same` (one for all, as V2X-Real draws it).
     pub noise: NoiseDraws,
     /// Seed of the errors.
     #[setting(role = "seed")]

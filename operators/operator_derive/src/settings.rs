@@ -69,7 +69,12 @@ fn setting(field: &Field) -> Result<Setting<'_>> {
             "range" => setting.range = Some((value.clone(), range_words(&name, &value)?)),
             "role" => setting.role = Some(value),
             "flatten" => setting.part = Some(&field.ty),
-            _ => return Err(Error::new(name.span(), "expected `default`, `range`, `role` or `flatten`")),
+            _ => {
+                return Err(Error::new(
+                    name.span(),
+                    "expected `default`, `range`, `role` or `flatten`",
+                ));
+            }
         }
     }
     Ok(setting)
@@ -264,7 +269,11 @@ mod tests {
                 threshold: f64,
             }
         ));
-        assert!(error.unwrap_err().contains("expected `default`, `range`, `role` or `flatten`"));
+        assert!(
+            error
+                .unwrap_err()
+                .contains("expected `default`, `range`, `role` or `flatten`")
+        );
         let error = derived(quote!(
             enum Settings {
                 One,

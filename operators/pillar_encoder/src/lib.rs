@@ -9,8 +9,8 @@ use std::path::PathBuf;
 
 use realo_bev::{Computing, Engine, Maps};
 use realo_kernels::bev::BevView;
-use realo_methods::detect::pillars::{Dropped, Points};
 use realo_methods::Pillarer;
+use realo_methods::detect::pillars::{Dropped, Points};
 use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings, Steps};
 use realo_schemas::{Elements, FeatureMap, Header, Kind, PointCloud};
 use serde::{Deserialize, Serialize};
@@ -25,9 +25,9 @@ pub struct Settings {
     #[setting(flatten)]
     #[serde(flatten)]
     pub computing: Computing,
-    /// Whether maps tell how sure the model's head is of each cell, which transmission-encoder can choose by.
+    /// Whether maps tell how sure the model's head is of each cell, by which `transmission-encoder` can choose.
     pub confidence: bool,
-    /// What numbers of maps leave a GPU as: f32, f16, or int8 with a scale for each channel of each map.
+    /// What numbers of maps leave a GPU as: `f32`, `f16`, or `int8` with a scale for each channel of each map.
     pub copied: Elements,
 }
 

@@ -14,7 +14,7 @@ const FORGET: Nanos = 60_000_000_000;
 /// Settings of [`Projector`].
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 pub struct Settings {
-    /// Who brings points to the ego's frame: receiver, or sender (with the ego's newest known state).
+    /// Who brings points to the ego's frame: `receiver`, or `sender` (with the ego's newest known state).
     #[setting(role = "project")]
     pub project: Project,
     /// Whose frame that is, where several agents tell their states; empty: that of the newest state.

@@ -26,7 +26,7 @@ pub struct Settings {
     /// Step of the coordinates of points, at least 0.000001 m, so that they compress; 0 = exact, not compressed.
     #[setting(range = 0.0..=1.0)]
     pub step_m: f64,
-    /// What numbers of feature maps cross as: f32, f16, or int8 with a scale for each channel of each map.
+    /// What numbers of feature maps cross as: `f32`, `f16`, or `int8` with a scale for each channel of each map.
     #[setting(default = Elements::Int8)]
     pub elements: Elements,
     /// Whether the bytes of a channel of a feature map lie together, so that they compress better.
@@ -40,7 +40,7 @@ pub struct Settings {
     /// Level at which zstd compresses feature maps and quantised points, -7 the fastest, not 0; null = not at all.
     #[setting(default = Some(1), range = -7..=19)]
     pub zstd: Option<i32>,
-    /// What boxes cross as: plain, or cpm, an ETSI Collective Perception Message (TS 103 324 v2.1.1, UPER).
+    /// What boxes cross as: `plain`, or `cpm`, an ETSI Collective Perception Message (TS 103 324 v2.1.1, UPER).
     #[setting(default = BoxesLayout::Plain)]
     pub boxes: BoxesLayout,
     /// Where on Earth the origin of the map is, LAT,LON[,HEIGHT] in degrees and m (WGS84), for cpm.
