@@ -1,7 +1,7 @@
 //! Intermediate fusion: in each cell the mean of the agents' features, weighted by how strong they are.
 
-use realo_fusion::{Input, Maps, Pairing, Set};
-use realo_operator::{Counter, Describe, Error, Operator, Outputs, Settings};
+use realo_fusion::{Input, Maps, Pairing};
+use realo_operator::{Describe, Error, Operator, Outputs, Settings};
 use realo_schemas::{FeatureMap, Header};
 use serde::{Deserialize, Serialize};
 

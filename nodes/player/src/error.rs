@@ -5,7 +5,7 @@ use std::path::PathBuf;
 pub enum PlayerError {
     /// Wall time has one rate, and messages come when they were ready.
     #[error(
-        "argument `clock`: wall: expected `rate` 1 and not `offline`, found rate {rate}, offline {offline}: leave them, or clock=log"
+        "argument `clock`: with clock=wall, expected `rate` 1 and not `offline`, found rate {rate}, offline {offline}: leave them, or clock=log"
     )]
     Wall {
         /// The rate.

@@ -236,7 +236,7 @@ pub trait Sink: Describe + Sized {
 ///
 /// `O`: what it may send, its [`Describe::Output`]. Drivers, which know no stage's type, have `Outputs<AnyOutput>`.
 ///
-/// ```compile_fail
+/// ```
 /// use realo_operator::{Message, Outputs};
 ///
 /// #[derive(Outputs)]
@@ -246,15 +246,29 @@ pub trait Sink: Describe + Sized {
 ///     Boxes(Message),
 /// }
 ///
-/// #[derive(Outputs)]
-/// enum Foreign {
-///     /// Boxes.
-///     #[port(any_of(Boxes))]
-///     Boxes(Message),
-/// }
-///
 /// fn stage(message: Message, out: &mut Outputs<Own>) {
-///     out.send(Foreign::Boxes(message));
+///     out.send(Own::Boxes(message));
+/// }
+/// ```
+///
+/// The output of another stage is not taken:
+///
+/// ```compile_fail
+/// # use realo_operator::{Message, Outputs};
+/// # #[derive(Outputs)]
+/// # enum Own {
+/// #     /// Boxes.
+/// #     #[port(any_of(Boxes))]
+/// #     Boxes(Message),
+/// # }
+/// # #[derive(Outputs)]
+/// # enum Other {
+/// #     /// Boxes.
+/// #     #[port(any_of(Boxes))]
+/// #     Boxes(Message),
+/// # }
+/// fn stage(message: Message, out: &mut Outputs<Own>) {
+///     out.send(Other::Boxes(message));
 /// }
 /// ```
 #[derive(Debug)]
