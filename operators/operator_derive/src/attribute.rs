@@ -56,7 +56,7 @@ pub fn doc(attributes: &[Attribute], span: Span, what: &str) -> Result<String> {
                 lit: Lit::Str(text), ..
             }) = &value.value
         {
-            lines.extend(text.value().lines().map(|line| line.trim().to_string()));
+            lines.extend(text.value().split('\n').map(|line| line.trim().to_string()));
         }
     }
     let paragraph = lines
