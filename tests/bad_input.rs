@@ -552,13 +552,13 @@ fn what_a_node_cannot_run_with_is_reported_before_dora_starts() {
     ]
     .concat();
     for (set, expected) in [
-        (&["v2x.deadline_ms=-3"][..], "node `v2x`: argument `deadline_ms`"),
+        (&["v2x.deadline_ms=-3"][..], "argument `deadline_ms`: expected above 0"),
         (&["v2x.site=a*b"], "node `v2x`: argument `site`"),
         (&["v2x.max_bytes=3"], "`max_bytes`"),
         (&["v2x.key=none.key"], "argument `trust`: expected a file"),
         (&["v2x.key=none.key", "v2x.trust=none.toml"], "argument `key`: none.key"),
         (&["v2x.zenoh=/nope"], "argument `zenoh`: /nope"),
-        (&["player.skew_ms=1e9"], "node `player`: player: `skew_ms`"),
+        (&["player.skew_ms=1e9"], "argument `skew_ms`: expected -10000000 to"),
         (
             &["fusion.bank.forget_ms=1", "v2x.site=a*b"],
             "node `fusion.bank`: argument `forget_ms`",

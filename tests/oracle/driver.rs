@@ -6,7 +6,7 @@ use std::path::Path;
 
 use realo_host::{ComputeProfile, Stages, virtual_time};
 use realo_operator::{
-    Books, Describe, Error, Inputs, NoInput, NoOutput, Outputs, PortId, Registration, Settings, Sink, Source,
+    Books, Describe, Error, Inputs, NoInput, NoOutput, Outputs, Registration, Settings, Sink, Source,
 };
 use realo_results::{Ledger, LinkBooks, link_books};
 use realo_schemas::report::Fated;
@@ -28,7 +28,6 @@ struct LogSettings {
 
 /// What the log has.
 #[derive(Outputs)]
-#[allow(dead_code, reason = "a source names ports by their places")]
 enum Output {
     /// The ego's boxes.
     EgoBoxes(Header, Boxes),
@@ -45,47 +44,36 @@ enum Output {
 }
 
 /// Plays the log of a world.
-struct Log(std::vec::IntoIter<(Nanos, PortId, Message)>);
-
-impl Describe for Log {
-    type Settings = LogSettings;
-    type Input = NoInput;
-    type Output = Output;
-    const NAME: &'static str = "log";
-    const ABOUT: &'static str = "plays the log of a world";
-}
+#[derive(Describe)]
+#[stage(settings = LogSettings, input = NoInput)]
+struct Log(std::vec::IntoIter<(Nanos, Output)>);
 
 impl Source for Log {
-    fn new(settings: LogSettings) -> Result<Self, Error> {
+    fn build(settings: LogSettings) -> Result<Self, Error> {
         let world = World::of(settings.seed);
-        let port = |agent: &str, [ego, other]: [PortId; 2]| if agent == EGO { ego } else { other };
         let sweeps = world.sweeps.iter().map(|said| match world.strategy {
-            Strategy::Late => (
-                said.ready,
-                port(&said.agent, [Output::EGO_BOXES, Output::BOXES]),
-                detections(said),
-            ),
-            Strategy::Early | Strategy::Projected => (
-                said.ready,
-                port(&said.agent, [Output::EGO_CLOUDS, Output::CLOUDS]),
-                cloud(said),
-            ),
+            Strategy::Late => output(said, [Output::EgoBoxes, Output::Boxes], detections(said)),
+            Strategy::Early | Strategy::Projected => output(said, [Output::EgoClouds, Output::Clouds], cloud(said)),
         });
-        let fixes = world.states.iter().map(|said| {
-            (
-                said.ready,
-                port(&said.agent, [Output::EGO_STATES, Output::STATES]),
-                state(said),
-            )
-        });
+        let fixes = world.states.iter();
+        let fixes = fixes.map(|said| output(said, [Output::EgoStates, Output::States], state(said)));
         let mut all: Vec<_> = sweeps.chain(fixes).collect();
-        all.sort_by_key(|(ready, ..)| *ready);
+        all.sort_by_key(|(ready, _)| *ready);
         Ok(Log(all.into_iter()))
     }
 
-    fn next(&mut self) -> Result<Option<(Nanos, PortId, Message)>, Error> {
+    fn next(&mut self) -> Result<Option<(Nanos, Output)>, Error> {
         Ok(self.0.next())
     }
+}
+
+fn output<P>(
+    said: &Said,
+    [ego, other]: [fn(Header, P) -> Output; 2],
+    (header, payload): (Header, P),
+) -> (Nanos, Output) {
+    let of = if said.agent == EGO { ego } else { other };
+    (said.ready, of(header, payload))
 }
 
 fn pose(spot: Spot) -> Pose {
@@ -99,7 +87,7 @@ fn header(said: &Said, kind: Kind) -> Header {
     Header::origin(&"oracle".into(), &agent, kind, said.seq, said.stamp, said.ready)
 }
 
-fn detections(said: &Said) -> Message {
+fn detections(said: &Said) -> (Header, Boxes) {
     let mut header = header(said, Kind::Boxes);
     header.pose = said.spot.map(pose);
     let boxes = (0..said.count).map(|place| Box3 {
@@ -114,10 +102,10 @@ fn detections(said: &Said) -> Message {
         track: said.tracked.then_some(place as u64),
         covariance: None,
     });
-    Message::new(header, Boxes(boxes.collect()))
+    (header, Boxes(boxes.collect()))
 }
 
-fn cloud(said: &Said) -> Message {
+fn cloud(said: &Said) -> (Header, PointCloud) {
     let mut header = header(said, Kind::Points);
     header.pose = said.spot.map(pose);
     let axis = |axis: usize| {
@@ -127,10 +115,10 @@ fn cloud(said: &Said) -> Message {
     };
     let n = said.count;
     let cloud = PointCloud::new(axis(0), axis(1), vec![1f32; n], vec![9; n], vec![0; n], vec![0u16; n]);
-    Message::new(header, cloud.expect("columns are of one length"))
+    (header, cloud.expect("columns are of one length"))
 }
 
-fn state(said: &Said) -> Message {
+fn state(said: &Said) -> (Header, AgentState) {
     let state = AgentState {
         map_from_body: pose(said.spot.expect("a state is somewhere")).map_from_frame,
         covariance: None,
@@ -138,7 +126,7 @@ fn state(said: &Said) -> Message {
         angular_rate: None,
         status: PoseStatus::Recorded,
     };
-    Message::new(header(said, Kind::AgentState), state)
+    (header(said, Kind::AgentState), state)
 }
 
 thread_local! {
@@ -178,7 +166,7 @@ impl Describe for Closing {
 }
 
 impl Sink for Closing {
-    fn new(_: Nothing) -> Result<Self, Error> {
+    fn build(_: Nothing) -> Result<Self, Error> {
         Ok(Closing::default())
     }
 

@@ -1,13 +1,12 @@
 //! Intermediate fusion: in each cell the mean of the agents' features, weighted by how strong they are.
 
-use realo_fusion::{Input, Maps, Pairing, Set};
-use realo_operator::{Counter, Describe, Error, Operator, Outputs, Settings, StageSettings};
+use realo_fusion::{Input, Maps, Pairing};
+use realo_operator::{Describe, Error, Operator, Outputs, Settings};
 use realo_schemas::{FeatureMap, Header};
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`FusionMean`].
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// Power of the length of a cell's features; it is an agent's weight there; 0: all count alike.
     #[setting(default = 4.0, range = 0.0..=16.0)]
@@ -40,7 +39,9 @@ pub fn mean(maps: &Maps, power: f64) -> Vec<f32> {
     fused
 }
 
-/// The operator `fusion-mean`.
+/// Intermediate fusion: the mean of features, weighted by how strong they are.
+#[derive(Describe)]
+#[stage(input = Input<FeatureMap>, counters = realo_fusion::COUNTERS)]
 pub struct FusionMean {
     power: f64,
     pairing: Pairing<FeatureMap>,
@@ -53,25 +54,15 @@ pub enum Output {
     Features(Header, FeatureMap),
 }
 
-impl Describe for FusionMean {
-    type Settings = Settings;
-    type Input = Input<FeatureMap>;
-    type Output = Output;
-    const NAME: &'static str = "fusion-mean";
-    const ABOUT: &'static str = "intermediate fusion: the mean of features, weighted by how strong they are";
-    const COUNTERS: &'static [Counter] = realo_fusion::COUNTERS;
-}
-
 impl Operator for FusionMean {
-    fn new(settings: Settings) -> Result<Self, Error> {
-        settings.check()?;
+    fn build(settings: Settings) -> Result<Self, Error> {
         Ok(FusionMean {
             power: settings.power,
             pairing: Pairing::default(),
         })
     }
 
-    fn on_input(&mut self, input: Input<FeatureMap>, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, input: Input<FeatureMap>, out: &mut Outputs<Output>) -> Result<(), Error> {
         let Some(mut set) = self.pairing.take(input, None)? else {
             return Ok(());
         };

@@ -2,14 +2,13 @@
 
 use nalgebra::{Isometry3, Vector3};
 use realo_fusion::{Input, Pairing, Set};
-use realo_operator::{Counter, Describe, Error, Operator, Outputs, Settings, StageSettings};
+use realo_operator::{Counter, Describe, Error, Operator, Outputs, Settings};
 use realo_schemas::geometry::{Footprint, iou_exceeds, transform_box};
 use realo_schemas::{Box3, Boxes, Header};
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`FusionNearest`].
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// IoU above which two boxes are one object; 1: every box stays.
     #[setting(default = 0.15, range = 0.0..=1.0)]
@@ -52,7 +51,9 @@ pub fn keep_nearest(seen: Vec<Seen>, threshold: f64) -> Vec<Box3> {
     kept.into_iter().map(|index| seen[index].object.clone()).collect()
 }
 
-/// The operator `fusion-nearest`.
+/// Late fusion: of several boxes of one object keeps the one seen from nearest.
+#[derive(Describe)]
+#[stage(input = Input<Boxes>, counters(FARTHER_BOXES, realo_fusion::OVER_LIMIT_MESSAGES, realo_fusion::REJECTED_MESSAGES))]
 pub struct FusionNearest {
     settings: Settings,
     pairing: Pairing<Boxes>,
@@ -70,29 +71,15 @@ pub enum Output {
     Proposals(Header, Boxes),
 }
 
-impl Describe for FusionNearest {
-    type Settings = Settings;
-    type Input = Input<Boxes>;
-    type Output = Output;
-    const NAME: &'static str = "fusion-nearest";
-    const ABOUT: &'static str = "late fusion: of several boxes of one object keeps the one seen from nearest";
-    const COUNTERS: &'static [Counter] = &[
-        FARTHER_BOXES,
-        realo_fusion::OVER_LIMIT_MESSAGES,
-        realo_fusion::REJECTED_MESSAGES,
-    ];
-}
-
 impl Operator for FusionNearest {
-    fn new(settings: Settings) -> Result<Self, Error> {
-        settings.check()?;
+    fn build(settings: Settings) -> Result<Self, Error> {
         Ok(FusionNearest {
             settings,
             pairing: Pairing::default(),
         })
     }
 
-    fn on_input(&mut self, input: Input<Boxes>, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, input: Input<Boxes>, out: &mut Outputs<Output>) -> Result<(), Error> {
         let Some(set) = self.pairing.take(input, None)? else {
             return Ok(());
         };

@@ -66,7 +66,7 @@ struct Sweeps {
 struct Clockwork(Vec<(Nanos, Message)>, bool);
 describe!(Clockwork, "clockwork", Sweeps, &[], &[Port::new("out", BOXES, "")]);
 impl Source for Clockwork {
-    fn new(config: Sweeps) -> Result<Self, Error> {
+    fn build(config: Sweeps) -> Result<Self, Error> {
         let mut messages = Vec::new();
         for seq in (0..config.count).rev() {
             for agent in config.agents.iter().rev() {
@@ -77,10 +77,10 @@ impl Source for Clockwork {
         }
         Ok(Clockwork(messages, config.fails))
     }
-    fn next(&mut self) -> Result<Option<(Nanos, PortId, Message)>, Error> {
+    fn next(&mut self) -> Result<Option<(Nanos, Self::Output)>, Error> {
         match self.0.pop() {
             None if self.1 => Err("the disk is gone".into()),
-            next => Ok(next.map(|(time, message)| (time, PortId(0), message))),
+            next => Ok(next.map(|(time, message)| (time, <Self as Describe>::Output::from(message)))),
         }
     }
     fn counts(&self) -> Counts {
@@ -106,10 +106,10 @@ describe!(
     &[Port::new("out", BOXES, "")]
 );
 impl Operator for Delay {
-    fn new(config: Delayed) -> Result<Self, Error> {
+    fn build(config: Delayed) -> Result<Self, Error> {
         Ok(Delay(config.delay))
     }
-    fn on_input(&mut self, input: Self::Input, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, input: Self::Input, out: &mut Outputs<Self::Output>) -> Result<(), Error> {
         let mut message = Message::from(input);
         if message.header.seq != 77 {
             message.header.ready = out.now() + self.0;
@@ -132,10 +132,10 @@ describe!(
     &[Port::new("echoed", BOXES, "")]
 );
 impl Operator for Echo {
-    fn new(_: Nothing) -> Result<Self, Error> {
+    fn build(_: Nothing) -> Result<Self, Error> {
         Ok(Echo::default())
     }
-    fn on_input(&mut self, input: Self::Input, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, input: Self::Input, out: &mut Outputs<Self::Output>) -> Result<(), Error> {
         let message = Message::from(input);
         if message.header.seq == 3 {
             return Err("three is not taken".into());
@@ -144,7 +144,7 @@ impl Operator for Echo {
         out.wake_at(out.now() + 30);
         Ok(())
     }
-    fn on_wake(&mut self, _: Nanos, out: &mut Outputs) -> Result<(), Error> {
+    fn on_wake(&mut self, _: Nanos, out: &mut Outputs<Self::Output>) -> Result<(), Error> {
         if let Some(message) = self.0.take() {
             out.send(<Self as Describe>::Output::from(message));
         }
@@ -157,7 +157,7 @@ static GIVEN: Mutex<Vec<String>> = Mutex::new(Vec::new());
 struct Notes;
 describe!(Notes, "notes", Nothing, &[Port::new("in", BOXES, "")], &[]);
 impl Sink for Notes {
-    fn new(_: Nothing) -> Result<Self, Error> {
+    fn build(_: Nothing) -> Result<Self, Error> {
         Ok(Notes)
     }
     fn accept(&mut self, input: Self::Input) -> Result<(), Error> {

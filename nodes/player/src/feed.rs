@@ -11,10 +11,9 @@ use std::collections::{BTreeMap, BTreeSet, BinaryHeap};
 use nalgebra::Vector3;
 use realo_logs::limits::TRUTH_WINDOW;
 use realo_logs::{BEHIND_MOST, Bare, Entry, Gaps, Log, LogError, LogReader, Missing, Stream, side};
-use realo_operator::PortId;
-use realo_schemas::{Header, Kind, Message, Name, Nanos, Payload, PointCloud, to_seconds};
+use realo_schemas::{Header, Kind, Name, Nanos, PointCloud, to_seconds};
 
-use crate::ORDER;
+use crate::Output;
 use crate::counters::{INTENSITIES_LIMITED, STAMPS_DIFFER, SWEEPS_MISSING, TRUTH_NOT_JOINED};
 use crate::joins::{Joins, PATIENCE};
 use crate::nearest::Nearest;
@@ -35,8 +34,11 @@ const MIN_JUMP_M: f64 = 5.0;
 /// Log time between the end of a pass and the start of the next, too long for a pose to be carried across.
 const PAUSE: Nanos = 1_000_000_000;
 
-/// A message on its way out: release time, port, message.
-pub type Release = (Nanos, PortId, Message);
+/// A message on its way out, with its release time.
+pub type Release = (Nanos, Output);
+
+/// The output of the ego, and of any other agent.
+type Sides<P> = [fn(Header, P) -> Output; 2];
 
 /// Turns a log into messages in order of release.
 pub struct Feed {
@@ -207,8 +209,8 @@ impl Feed {
         if first.0.key.0 >= self.released_to {
             return None;
         }
-        let Reverse(first) = self.queue.pop()?;
-        Some((first.message.header.ready, first.port, first.message))
+        let Reverse(Queued { mut output, .. }) = self.queue.pop()?;
+        Some((output.header_mut().ready, output))
     }
 
     fn take(&mut self, entry: &Entry) -> Result<(), LogError> {
@@ -256,39 +258,36 @@ impl Feed {
         nearest.is_some_and(|nearest| nearest.is_too_far(self.rank(entry), entry.stamp(), entry.ready()))
     }
 
-    fn send(&mut self, entry: &Entry, seq: u64, kind: Kind, ports: [PortId; 2], payload: impl Into<Payload>) {
+    fn send<P>(&mut self, entry: &Entry, seq: u64, kind: Kind, sides: Sides<P>, payload: P) {
         let release = self.release(entry);
         let from = (self.rank(entry), [entry.stamp(), release]);
-        let (port, message) = self.message(from, seq, kind, ports, payload);
-        self.queue((from.0, release), port, message);
+        let output = self.output(from, seq, kind, sides, payload);
+        self.queue((from.0, release), output);
     }
 
-    /// A message of this pass, by the rank of its agent, stamp and release, and the port of its agent's lane.
-    fn message(
+    /// A message of this pass, by the rank of its agent, stamp and release.
+    fn output<P>(
         &self,
         (rank, [stamp, release]): (usize, [Nanos; 2]),
         seq: u64,
         kind: Kind,
-        [ego, other]: [PortId; 2],
-        payload: impl Into<Payload>,
-    ) -> (PortId, Message) {
+        [ego, other]: Sides<P>,
+        payload: P,
+    ) -> Output {
         let shift = Nanos::from(self.pass) * self.period;
         let [poses, sweeps] = self.per_pass[rank];
         let per_pass = if kind == Kind::AgentState { poses } else { sweeps };
         let seq = seq + u64::from(self.pass) * per_pass;
         let (run, agent) = (&self.script.run, &self.agents[rank]);
         let header = Header::origin(run, agent, kind, seq, stamp + shift, release + shift);
-        let port = if rank == 0 { ego } else { other };
-        (port, Message::new(header, payload))
+        let of = if rank == 0 { ego } else { other };
+        of(header, payload)
     }
 
-    fn queue(&mut self, (rank, release): (usize, Nanos), port: PortId, message: Message) {
-        let order = ORDER.iter().position(|known| *known == port).unwrap_or(0);
-        self.queue.push(Reverse(Queued {
-            key: (release, order, rank, message.header.seq),
-            port,
-            message,
-        }));
+    fn queue(&mut self, (rank, release): (usize, Nanos), mut output: Output) {
+        let seq = output.header_mut().seq;
+        let key = (release, output.place(), rank, seq);
+        self.queue.push(Reverse(Queued { key, output }));
     }
 
     fn rank(&self, entry: &Entry) -> usize {

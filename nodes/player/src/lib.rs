@@ -8,6 +8,7 @@
 
 mod ahead;
 mod counters;
+mod error;
 mod feed;
 mod joins;
 mod nearest;
@@ -20,16 +21,16 @@ use std::path::{Path, PathBuf};
 use std::thread;
 
 use realo_logs::{Log, LogError, Stream};
-use realo_operator::{Counter, Counts, Describe, Error, NoInput, Outputs, PortId, Settings, Source};
+use realo_operator::{Counts, Describe, Error, NoInput, Outputs, Settings, Source};
 use realo_schemas::{
-    AgentState, Boxes, Clock, GroundTruth, Header, Kind, Message, Name, Nanos, Packet, Payload, PointCloud,
-    from_seconds,
+    AgentState, Boxes, Clock, GroundTruth, Header, Kind, Name, Nanos, Packet, PointCloud, from_seconds,
 };
 use rustix::process::{getpriority_process, setpriority_process};
 use serde::{Deserialize, Serialize};
 
 use ahead::{Taker, ahead};
 use counters::{Counters, LOG_TRUNCATED, RUNS_ALONE};
+pub use error::PlayerError;
 pub use feed::sweeps_per_pass;
 use feed::{Feed, Release, Script};
 pub use plan::{Coop, PlanError, PlannedRun, PlannedRuns, plan};
@@ -46,18 +47,6 @@ pub const LEAD: Nanos = 4_000_000_000;
 
 /// Of a point in memory.
 const POINT_BYTES: usize = 20;
-
-/// Who goes first at equal times.
-const ORDER: [PortId; 8] = [
-    Output::EGO_POSES,
-    Output::POSES,
-    Output::EGO_CLOUDS,
-    Output::CLOUDS,
-    Output::EGO_RECORDED,
-    Output::RECORDED,
-    Output::PACKETS,
-    Output::TRUTH,
-];
 
 /// Which poses are sent.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
@@ -96,7 +85,6 @@ pub enum Detections {
 
 /// Settings of the player.
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// Path of the log.
     #[setting(default = "../target/realo/demo.mcap", role = "log")]
@@ -107,18 +95,19 @@ pub struct Settings {
     /// The agent whose sensors alone are played, and which is the ego then; empty: those of all.
     #[setting(role = "own")]
     pub agent: String,
-    /// Log: its own times; wall: moved to wall time, at the same place of the log on all machines.
+    /// Times of messages: `log`, the log's own, or `wall`, moved to wall time, at the same place of the log on all machines.
     #[setting(default = TimeLine::Log)]
     pub clock: TimeLine,
-    /// With clock=wall, how much stamps are ahead of the wall clock: a clock that is off.
+    /// With `clock=wall`, how much stamps are ahead of the wall clock: a clock that is off.
+    #[setting(range = -1e7..=1e7)]
     pub skew_ms: f64,
-    /// Who collaborates: all, v2v, v2i or i2i.
+    /// Who collaborates: `all`, `v2v`, `v2i` or `i2i`.
     #[setting(default = Coop::All, role = "coop")]
     pub coop: Coop,
     /// Who may take part; empty: all.
     #[setting(role = "agents")]
     pub agents: Vec<String>,
-    /// Poses that are sent: recorded or true.
+    /// Poses that are sent: `recorded` or `true`.
     #[setting(default = PoseSource::Recorded)]
     pub pose: PoseSource,
     /// Ready times are stamps, poses are exact where known.
@@ -127,7 +116,7 @@ pub struct Settings {
     /// Whether sweeps have their points.
     #[setting(default = true, role = "points")]
     pub points: bool,
-    /// Recorded detections: optional, required or off.
+    /// Recorded detections: `optional`, `required` or `off`.
     #[setting(default = Detections::Optional, role = "detections")]
     pub detections: Detections,
     /// Whether the log's packets of the collaborators are played, and their sweeps without points.
@@ -136,14 +125,16 @@ pub struct Settings {
     /// Leaves out sweeps of collaborators than which so many are nearer; null: none; in virtual time over perfect links.
     pub fused_at_most: Option<usize>,
     /// Seconds of log time per second, in a realtime run.
-    #[setting(default = 1.0, role = "rate")]
+    #[setting(default = 1.0, range = 0.0<..=1e6, role = "rate")]
     pub rate: f64,
     /// Passes over the log.
-    #[setting(default = 1)]
+    #[setting(default = 1, range = 1..)]
     pub repeat: u32,
     /// Seconds that are left out at the log's beginning.
+    #[setting(range = 0.0..=1e9)]
     pub start: f64,
     /// Seconds that are played; null: all.
+    #[setting(range = 0.0<..=1e9)]
     pub duration: Option<f64>,
     /// Name of the run, in every header.
     #[setting(default = "run")]
@@ -153,7 +144,9 @@ pub struct Settings {
 /// What the log has next, `None` at its end.
 type Next = Result<Option<Release>, LogError>;
 
-/// The source that replays a log.
+/// Replays a log's sweeps, poses, recorded detections and ground truth.
+#[derive(Describe)]
+#[stage(input = NoInput, counters = counters::ALL, examine = check)]
 pub struct Player {
     releases: Taker<Next>,
     ended: bool,
@@ -214,7 +207,7 @@ struct Wall {
 
 impl Wall {
     /// Moves a message.
-    fn shift(&mut self, (time, port, mut message): Release) -> Release {
+    fn shift(&mut self, (time, mut output): Release) -> Release {
         let slots = self.slots;
         let most = self.per_pass.values().flatten().copied().max().unwrap_or(0);
         let (shift, passes) = *self.moved.get_or_insert_with(|| {
@@ -223,16 +216,13 @@ impl Wall {
             (count * slots.slot, passes as u64)
         });
         let shift = shift + self.skew;
-        message.header.stamp += shift;
-        message.header.ready += shift;
-        let [poses, others] = self.per_pass.get(&message.header.agent).copied().unwrap_or_default();
-        message.header.seq += passes
-            * if message.header.kind == Kind::AgentState {
-                poses
-            } else {
-                others
-            };
-        (time + shift, port, message)
+        let header = output.header_mut();
+        header.stamp += shift;
+        header.ready += shift;
+        let [poses, others] = self.per_pass.get(&header.agent).copied().unwrap_or_default();
+        let per_pass = if header.kind == Kind::AgentState { poses } else { others };
+        header.seq += passes * per_pass;
+        (time + shift, output)
     }
 }
 
@@ -272,20 +262,36 @@ pub enum Output {
     Packets(Header, Packet),
 }
 
-impl Describe for Player {
-    type Settings = Settings;
-    type Input = NoInput;
-    type Output = Output;
-    const NAME: &'static str = "player";
-    const ABOUT: &'static str = "replays a log's sweeps, poses, recorded detections and ground truth";
-    const COUNTERS: &'static [Counter] = counters::ALL;
-    fn examine(settings: &Settings) -> Result<(), Error> {
-        check(settings)
+impl Output {
+    fn header_mut(&mut self) -> &mut Header {
+        let (Output::EgoClouds(header, _)
+        | Output::EgoPoses(header, _)
+        | Output::EgoRecorded(header, _)
+        | Output::Clouds(header, _)
+        | Output::Poses(header, _)
+        | Output::Recorded(header, _)
+        | Output::Truth(header, _)
+        | Output::Packets(header, _)) = self;
+        header
+    }
+
+    /// Who goes first at equal times, 0 before all others.
+    fn place(&self) -> usize {
+        match self {
+            Output::EgoPoses(..) => 0,
+            Output::Poses(..) => 1,
+            Output::EgoClouds(..) => 2,
+            Output::Clouds(..) => 3,
+            Output::EgoRecorded(..) => 4,
+            Output::Recorded(..) => 5,
+            Output::Packets(..) => 6,
+            Output::Truth(..) => 7,
+        }
     }
 }
 
 impl Source for Player {
-    fn new(settings: Settings) -> Result<Self, Error> {
+    fn build(settings: Settings) -> Result<Self, Error> {
         let counters = Counters::default();
         let (feed, cast) = feed(&settings, &counters)?;
         let wall = (settings.clock == TimeLine::Wall).then(|| Wall {
@@ -305,11 +311,11 @@ impl Source for Player {
         })
     }
 
-    fn next(&mut self) -> Result<Option<(Nanos, PortId, Message)>, Error> {
+    fn next(&mut self) -> Result<Option<Release>, Error> {
         if self.ended {
             return Ok(None);
         }
-        let next = self.releases.take().ok_or("player: the reading thread stopped")??;
+        let next = self.releases.take().ok_or(PlayerError::Stopped)??;
         self.ended = next.is_none();
         Ok(match &mut self.wall {
             Some(wall) => next.map(|release| wall.shift(release)),
@@ -338,7 +344,7 @@ impl Source for Player {
 fn feed(settings: &Settings, counters: &Counters) -> Result<(Feed, PlannedRun), Error> {
     check(settings)?;
     if !settings.log.exists() {
-        return Err(no_log(&settings.log).into());
+        return Err(PlayerError::NoLog(settings.log.clone()).into());
     }
     let log = Log::open(&settings.log)?;
     if log.truncation().is_some() {
@@ -350,7 +356,7 @@ fn feed(settings: &Settings, counters: &Counters) -> Result<(Feed, PlannedRun), 
         &settings.agent
     };
     let plan = plan(&log, ego, settings.coop, &settings.agents)?;
-    let cast = plan.runs.into_iter().next().ok_or("a plan has at least one run")?;
+    let cast = plan.runs.into_iter().next().ok_or(PlayerError::NoRun)?;
     if cast.collaborators.is_empty() {
         counters.add(&RUNS_ALONE, "", 1, 0);
     }
@@ -376,56 +382,23 @@ fn feed(settings: &Settings, counters: &Counters) -> Result<(Feed, PlannedRun), 
     Ok((Feed::new(script)?, cast))
 }
 
-/// Everything but the log, which may not be made yet.
-fn check(settings: &Settings) -> Result<(), Error> {
-    let positive = |value: f64| value.is_finite() && value > 0.0;
-    if !positive(settings.rate) {
-        return Err(format!("player: `rate` must be a positive number, found {}", settings.rate).into());
+/// What no range says, of everything but the log, which may not be made yet.
+fn check(settings: &Settings) -> Result<(), PlayerError> {
+    let Settings {
+        rate, offline, repeat, ..
+    } = *settings;
+    let is_wall = settings.clock == TimeLine::Wall;
+    if is_wall && (rate != 1.0 || offline) {
+        return Err(PlayerError::Wall { rate, offline });
     }
-    if settings.clock == TimeLine::Wall && (settings.rate != 1.0 || settings.offline) {
-        let (rate, offline) = (settings.rate, settings.offline);
-        return Err(format!(
-            "player: `clock=wall`: expected `rate` 1 and not `offline`, found rate {rate}, offline {offline}: leave them, or clock=log"
-        )
-        .into());
+    if settings.skew_ms != 0.0 && !is_wall {
+        return Err(PlayerError::Skew(settings.skew_ms));
     }
-    if settings.skew_ms != 0.0 && !(settings.clock == TimeLine::Wall && settings.skew_ms.abs() <= 1e7) {
-        let found = settings.skew_ms;
-        return Err(format!("player: `skew_ms` needs clock=wall, and must be within ±1e7, found {found}").into());
-    }
-    if settings.repeat == 0 {
-        return Err("player: `repeat` must be at least 1, found 0".into());
-    }
-    if settings.precomputed && settings.repeat > 1 {
-        let found = settings.repeat;
-        return Err(format!(
-            "player: `precomputed`: packets say their own number and time, so that `repeat` must be 1, found {found}"
-        )
-        .into());
-    }
-    if settings.precomputed && settings.offline {
-        return Err(
-            "player: `precomputed`: packets were made with poses and at times as recorded, which `offline` does not \
-                    play: leave one of the two"
-                .into(),
-        );
-    }
-    if !settings.start.is_finite() || settings.start < 0.0 {
-        return Err(format!("player: `start` must not be negative, found {}", settings.start).into());
-    }
-    match settings.duration {
-        Some(duration) if !positive(duration) => {
-            Err(format!("player: `duration` must be a positive number, found {duration}").into())
-        }
+    match settings.precomputed {
+        true if repeat > 1 => Err(PlayerError::Repeat(repeat)),
+        true if offline => Err(PlayerError::Offline),
         _ => Ok(()),
     }
-}
-
-fn no_log(path: &Path) -> String {
-    let path = path.display();
-    format!(
-        "there is no log `{path}`; make one with `realo-lab simulate --scenario intersection --seed 1 --seconds 10 -o {path}`"
-    )
 }
 
 fn need_topics(log: &Log, cast: &PlannedRun, settings: &Settings) -> Result<(), LogError> {
@@ -452,14 +425,12 @@ fn need_topics(log: &Log, cast: &PlannedRun, settings: &Settings) -> Result<(), 
 }
 
 /// Log times between which sweeps are played.
-fn window(log: &Log, settings: &Settings) -> Result<(Nanos, Nanos), Error> {
-    let (first, last) = log
-        .span()
-        .ok_or_else(|| format!("`{}` has no messages", log.path().display()))?;
+fn window(log: &Log, settings: &Settings) -> Result<(Nanos, Nanos), PlayerError> {
+    let (first, last) = log.span().ok_or_else(|| PlayerError::Empty(log.path().into()))?;
     let from = first.saturating_add(from_seconds(settings.start));
     if from > last {
         let (start, length) = (settings.start, (last - first) as f64 * 1e-9);
-        return Err(format!("player: `start` is {start} s, but the log has only {length:.3} s").into());
+        return Err(PlayerError::Start { start, length });
     }
     let until = settings
         .duration
@@ -475,7 +446,7 @@ fn read_ahead(mut feed: Feed) -> Result<Taker<Next>, Error> {
         loop {
             let next = feed.next();
             let points = match &next {
-                Ok(Some((_, _, message))) => points(&message.payload),
+                Ok(Some((_, output))) => points(output),
                 _ => 0,
             };
             let last = !matches!(next, Ok(Some(_)));
@@ -488,11 +459,11 @@ fn read_ahead(mut feed: Feed) -> Result<Taker<Next>, Error> {
     Ok(releases)
 }
 
-/// What a payload takes of memory, in points.
-fn points(payload: &Payload) -> usize {
-    match payload {
-        Payload::PointCloud(cloud) => cloud.len(),
-        Payload::Packet(packet) => packet.bytes.len() / POINT_BYTES,
+/// What a message takes of memory, in points.
+fn points(output: &Output) -> usize {
+    match output {
+        Output::EgoClouds(_, cloud) | Output::Clouds(_, cloud) => cloud.len(),
+        Output::Packets(_, packet) => packet.bytes.len() / POINT_BYTES,
         _ => 0,
     }
 }

@@ -139,7 +139,8 @@ fn a_log_from_numpy_arrays_is_read_and_played() {
     })
     .unwrap();
     let mut played: Vec<(&str, Message)> = Vec::new();
-    while let Some((_, port, message)) = player.next().unwrap() {
+    while let Some((_, output)) = player.next().unwrap() {
+        let (port, message) = output.into_message();
         played.push((Output::PORTS[port.0].name, message));
     }
     // Both agents list the same boxes in frames of their own: two tracks at 39 pairs of times.

@@ -10,6 +10,7 @@ pub mod body;
 pub mod books;
 pub mod course;
 mod endpoint;
+mod error;
 pub mod keys;
 pub mod network;
 mod node;
@@ -25,4 +26,5 @@ mod unheard;
 pub use realo_clock as clock;
 
 pub use endpoint::{Endpoint, NoEndpoint};
+pub use error::RadioError;
 pub use node::{Radio, Settings};

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use realo_operator::{Counter, Describe, Error, Gateway, Inputs, Outputs, Settings, Waker};
+use realo_operator::{Describe, Error, Gateway, Inputs, Outputs, Settings, Waker};
 use realo_schemas::report::{self, ClockBy, Fate, Peer, to_report};
 use realo_schemas::{Header, Kind, Name, Nanos, Packet, are_one_time_line, to_millis};
 use serde::{Deserialize, Serialize};
@@ -14,7 +14,8 @@ use crate::books::News;
 use crate::clock::{steady, wall};
 use crate::course::{Came, Course};
 use crate::endpoint::Endpoint;
-use crate::keys::{KeyError, NAME, Own, Trusted, is_name};
+use crate::error::RadioError;
+use crate::keys::{Own, Trusted, is_name};
 use crate::network::Network;
 use crate::offset::{Basis, Estimate};
 use crate::protocol::{self, Arrived, Offer, is_bulk};
@@ -35,7 +36,6 @@ const APART: Nanos = 10_000_000_000;
 
 /// Settings of the radio.
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// Who this is.
     #[setting(role = "ego")]
@@ -43,7 +43,7 @@ pub struct Settings {
     /// Agents of one site hear each other.
     #[setting(default = "realo")]
     pub site: String,
-    /// Addresses where others connect, tcp/HOST:PORT or tls/HOST:PORT; each takes the port behind it too.
+    /// Addresses where others connect, `tcp/HOST:PORT` or `tls/HOST:PORT`; each takes the port behind it too.
     pub listen: Vec<Endpoint>,
     /// Addresses of others.
     pub connect: Vec<Endpoint>,
@@ -54,22 +54,25 @@ pub struct Settings {
     /// YAML file of further settings of Zenoh, such as certificates and access control.
     pub zenoh: PathBuf,
     /// What GNSS or PTP leave this machine's wall clock off by at most; null: what the kernel says.
+    #[setting(range = 0.0..=1e6)]
     pub clock_error_ms: Option<f64>,
     /// Age at which points and features must have arrived, or they are not sent.
-    #[setting(default = 400.0)]
+    #[setting(default = 400.0, range = 0.0<..=1e6)]
     pub deadline_ms: f64,
     /// What points and features may add to the delay of everything else.
-    #[setting(default = 20.0)]
+    #[setting(default = 20.0, range = 0.0<..=1e6)]
     pub queue_ms: f64,
-    /// Max message that is taken.
-    #[setting(default = 16 << 20)]
+    /// Max message that is taken, bytes.
+    #[setting(default = 16 << 20, range = 1024..)]
     pub max_bytes: usize,
-    /// A peer of whom nothing was heard for so long has gone.
-    #[setting(default = 2000)]
+    /// A peer of whom nothing was heard for so long has gone, ms.
+    #[setting(default = 2000, range = 100..)]
     pub lease_ms: u64,
 }
 
-/// Exchanges packets with the agents of a site.
+/// Exchanges packets with agents on other machines, over Zenoh.
+#[derive(Describe)]
+#[stage(counters = refusal::COUNTERS, examine = examine)]
 pub struct Radio {
     place: Place,
     settings: protocol::Settings,
@@ -118,24 +121,8 @@ pub enum Output {
     States(Header, Packet),
 }
 
-impl Describe for Radio {
-    type Settings = Settings;
-    type Input = Input;
-    type Output = Output;
-    const NAME: &'static str = "radio";
-    const ABOUT: &'static str = "exchanges packets with agents on other machines, over Zenoh";
-    const COUNTERS: &'static [Counter] = refusal::COUNTERS;
-    fn examine(settings: &Settings) -> Result<(), Error> {
-        check(settings)?;
-        if !settings.zenoh.as_os_str().is_empty() {
-            session::examine(&settings.zenoh)?;
-        }
-        seal(settings).map(drop)
-    }
-}
-
 impl Gateway for Radio {
-    fn new(settings: Settings) -> Result<Self, Error> {
+    fn build(settings: Settings) -> Result<Self, Error> {
         check(&settings)?;
         let seal = seal(&settings)?;
         let millis = |value: f64| (value * 1e6) as Nanos;
@@ -175,7 +162,7 @@ impl Gateway for Radio {
         Ok(())
     }
 
-    fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, input: Input, out: &mut Outputs<Output>) -> Result<(), Error> {
         let (Input::Packets(header, packet)
         | Input::State(header, packet)
         | Input::Fallback(header, packet)
@@ -183,7 +170,7 @@ impl Gateway for Radio {
         let Some(network) = &self.network else { return Ok(()) };
         network.set_time(out.now());
         if matches!(header.kind, Kind::Truth | Kind::Report) {
-            return Err(format!("a packet of {}, which no link carries", header.kind).into());
+            return Err(RadioError::Kind(header.kind).into());
         }
         let bytes = body::to_bytes(&packet, out.now())?;
         if !is_bulk(header.kind) && bytes.len() > MOST_SMALL {
@@ -204,7 +191,7 @@ impl Gateway for Radio {
         Ok(())
     }
 
-    fn on_wake(&mut self, now: Nanos, out: &mut Outputs) -> Result<(), Error> {
+    fn on_wake(&mut self, now: Nanos, out: &mut Outputs<Output>) -> Result<(), Error> {
         let Some(network) = &self.network else { return Ok(()) };
         network.set_time(now);
         let taken = network.take();
@@ -237,7 +224,7 @@ impl Gateway for Radio {
         Ok(())
     }
 
-    fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
+    fn on_end(&mut self, out: &mut Outputs<Output>) -> Result<(), Error> {
         if let Some(network) = &mut self.network {
             network.leave();
         }
@@ -256,7 +243,7 @@ impl Gateway for Radio {
 
 impl Radio {
     /// Counts what the network refused, by the name in which it came; of more names than are known, of nobody.
-    fn count_refused(&self, out: &mut Outputs) {
+    fn count_refused(&self, out: &mut Outputs<Output>) {
         for (refusal, total) in &self.counted {
             let mut nameless = *total;
             for report in &self.reports {
@@ -268,7 +255,7 @@ impl Radio {
         }
     }
 
-    fn take(&mut self, event: Event, out: &mut Outputs) {
+    fn take(&mut self, event: Event, out: &mut Outputs<Output>) {
         match event {
             Event::Arrived(from, message, clock) => self.deliver(&from, message, &clock, out),
             Event::Skipped(from, message) => {
@@ -289,7 +276,7 @@ impl Radio {
     }
 
     /// Gives a message of a peer to the graph, on this agent's time line.
-    fn deliver(&mut self, from: &Name, message: Arrived, clock: &Estimate, out: &mut Outputs) {
+    fn deliver(&mut self, from: &Name, message: Arrived, clock: &Estimate, out: &mut Outputs<Output>) {
         let reported = MessageId::from(&message);
         match self.moved(from, &message, clock, out) {
             Ok((packet, stamp)) => {
@@ -309,7 +296,7 @@ impl Radio {
         }
     }
 
-    fn header(&self, from: &Name, of: MessageId, out: &Outputs) -> Header {
+    fn header(&self, from: &Name, of: MessageId, out: &Outputs<Output>) -> Header {
         Header {
             to: Some(self.place.agent.clone()),
             ..Header::origin(&Name::default(), from, of.kind, of.seq, of.stamp, out.now())
@@ -322,7 +309,7 @@ impl Radio {
         from: &Name,
         message: &Arrived,
         clock: &Estimate,
-        out: &mut Outputs,
+        out: &mut Outputs<Output>,
     ) -> Result<(Packet, Nanos), Refusal> {
         let (packet, given) = body::of_bytes(&message.bytes).ok_or(Refusal::Malformed)?;
         let now = out.now();
@@ -420,79 +407,55 @@ fn skipped(events: &[Event]) -> Vec<bool> {
     skipped
 }
 
-fn check(settings: &Settings) -> Result<(), Error> {
+/// Looks at the settings and the files that they name.
+fn examine(settings: &Settings) -> Result<(), Error> {
+    check(settings)?;
+    if !settings.zenoh.as_os_str().is_empty() {
+        session::examine(&settings.zenoh)?;
+    }
+    seal(settings)?;
+    Ok(())
+}
+
+/// What no range says.
+fn check(settings: &Settings) -> Result<(), RadioError> {
     if !is_name(&settings.agent) {
-        let found = &settings.agent;
-        return Err(format!("argument `agent`: expected {NAME}, found `{found}`").into());
+        return Err(RadioError::Agent(settings.agent.clone()));
     }
     if !settings.site.split('/').all(is_name) {
-        let found = &settings.site;
-        return Err(
-            format!("argument `site`: expected names with / between them, each {NAME}, found `{found}`").into(),
-        );
+        return Err(RadioError::Site(settings.site.clone()));
     }
     if settings.listen.is_empty() && settings.connect.is_empty() {
-        return Err(
-            "arguments `listen`, `connect`: expected an address in one of them at least, such as listen=tcp/0.0.0.0:7447; \
-             found none, and so nobody to exchange packets with"
-                .into(),
-        );
+        return Err(RadioError::Nobody);
     }
     for (at, first) in settings.listen.iter().enumerate() {
         if let Some(second) = settings.listen[at + 1..].iter().find(|second| first.collides(second)) {
-            return Err(format!(
-                "argument `listen`: expected ports of their own for each, which takes the one behind it too, found {first} and {second}"
-            )
-            .into());
-        }
-    }
-    for (name, value) in [("deadline_ms", settings.deadline_ms), ("queue_ms", settings.queue_ms)] {
-        if !(value.is_finite() && value > 0.0 && value <= 1e6) {
-            return Err(
-                format!("argument `{name}`: expected milliseconds above 0, up to a million; found {value}").into(),
-            );
-        }
-    }
-    if let Some(value) = settings.clock_error_ms.filter(|value| !(0.0..=1e6).contains(value)) {
-        return Err(format!(
-            "argument `clock_error_ms`: expected milliseconds from 0 to a million, or null; found {value}"
-        )
-        .into());
-    }
-    let (bytes, lease) = (settings.max_bytes as u64, settings.lease_ms);
-    for (name, min, found, unit) in [("max_bytes", 1024, bytes, "bytes"), ("lease_ms", 100, lease, "ms")] {
-        if found < min {
-            return Err(format!("argument `{name}`: expected {min} {unit} or more, found {found}").into());
+            let [first, second] = [first, second].map(|endpoint| endpoint.to_string());
+            return Err(RadioError::Ports { first, second });
         }
     }
     Ok(())
 }
 
 /// What signs and checks, where keys are given.
-fn seal(settings: &Settings) -> Result<Option<Seal>, Error> {
+fn seal(settings: &Settings) -> Result<Option<Seal>, RadioError> {
     let is_there = |path: &Path| !path.as_os_str().is_empty();
+    let alone = |given, missing| Err(RadioError::HalfSealed { given, missing });
     match [is_there(&settings.key), is_there(&settings.trust)] {
         [false, false] => return Ok(None),
         [true, true] => {}
-        [key, _] => {
-            let (given, other) = if key { ("key", "trust") } else { ("trust", "key") };
-            return Err(format!(
-                "argument `{other}`: expected a file, for `{given}` has one: who signs must know whom to trust, and the other way round"
-            )
-            .into());
-        }
+        [true, false] => return alone("key", "trust"),
+        [false, true] => return alone("trust", "key"),
     }
-    let named = |argument: &str, error: KeyError| format!("argument `{argument}`: {error}");
-    let own = Own::read(&settings.key).map_err(|error| named("key", error))?;
-    let trusted = Trusted::read(&settings.trust).map_err(|error| named("trust", error))?;
+    let named = |argument| move |error| RadioError::Keys { argument, error };
+    let own = Own::read(&settings.key).map_err(named("key"))?;
+    let trusted = Trusted::read(&settings.trust).map_err(named("trust"))?;
     if *own.agent != *settings.agent {
-        return Err(format!(
-            "argument `key`: {}: expected the key of `{}` (argument `agent`), found that of `{}`",
-            settings.key.display(),
-            settings.agent,
-            own.agent
-        )
-        .into());
+        return Err(RadioError::OtherKey {
+            file: settings.key.clone(),
+            agent: settings.agent.clone(),
+            found: own.agent.to_string(),
+        });
     }
     Ok(Some(Seal::new(&settings.site, own, trusted)))
 }

@@ -25,7 +25,6 @@ use recording::Recording;
 
 /// Settings of the recorder.
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// Path of the recording; its folder is made.
     #[setting(default = "recording.mcap", role = "recording")]
@@ -34,7 +33,9 @@ pub struct Settings {
     pub clouds: bool,
 }
 
-/// The sink that records.
+/// Records boxes, poses, reports, packets' headers, and clouds when asked for.
+#[derive(Describe)]
+#[stage(output = NoOutput)]
 pub struct Recorder {
     recording: Option<Recording>,
     clouds: bool,
@@ -75,16 +76,8 @@ pub enum Input {
     Clouds(Header, PointCloud),
 }
 
-impl Describe for Recorder {
-    type Settings = Settings;
-    type Input = Input;
-    type Output = NoOutput;
-    const NAME: &'static str = "recorder";
-    const ABOUT: &'static str = "records boxes, poses, reports, packets' headers, and clouds when asked for";
-}
-
 impl Sink for Recorder {
-    fn new(settings: Settings) -> Result<Self, Error> {
+    fn build(settings: Settings) -> Result<Self, Error> {
         Ok(Recorder {
             recording: Some(Recording::create(&settings.path)?),
             clouds: settings.clouds,

@@ -14,7 +14,6 @@ use serde::{Deserialize, Serialize};
 
 /// Settings of the log recorder.
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// Path of the log; its folder is made.
     #[setting(default = "sensors.mcap", role = "recording")]
@@ -22,7 +21,7 @@ pub struct Settings {
     /// Whose sensors they are.
     #[setting(role = "ego")]
     pub agent: String,
-    /// Vehicle or roadside, where `like` does not tell.
+    /// What the agent is, `vehicle` or `roadside`, where `like` does not tell.
     #[setting(default = AgentKind::Vehicle)]
     pub kind: AgentKind,
     /// A log with this agent, which tells its kind, outline and sensor: the one that is played; empty = none.
@@ -33,7 +32,9 @@ pub struct Settings {
     pub points: bool,
 }
 
-/// The sink that records sensors.
+/// Records what an agent's sensors gave, as a log; `realo merge` joins those of several agents.
+#[derive(Describe)]
+#[stage(output = NoOutput, examine = check)]
 pub struct LogRecorder {
     agent: String,
     points: bool,
@@ -60,24 +61,16 @@ pub enum Input {
     Peers(Header, Report),
 }
 
-impl Describe for LogRecorder {
-    type Settings = Settings;
-    type Input = Input;
-    type Output = NoOutput;
-    const NAME: &'static str = "log-recorder";
-    const ABOUT: &'static str =
-        "records what an agent's sensors gave, as a log; `realo merge` joins those of several agents";
-    fn examine(settings: &Settings) -> Result<(), Error> {
-        if settings.agent.is_empty() {
-            return Err(RecorderError::Agent.into());
-        }
-        Ok(())
+fn check(settings: &Settings) -> Result<(), RecorderError> {
+    match settings.agent.is_empty() {
+        true => Err(RecorderError::Agent),
+        false => Ok(()),
     }
 }
 
 impl Sink for LogRecorder {
-    fn new(settings: Settings) -> Result<Self, Error> {
-        Self::examine(&settings)?;
+    fn build(settings: Settings) -> Result<Self, Error> {
+        check(&settings)?;
         let info = info(&settings)?;
         if let Some(folder) = settings.path.parent() {
             std::fs::create_dir_all(folder).map_err(|error| RecorderError::Folder(folder.into(), error))?;

@@ -13,6 +13,7 @@
 mod causes;
 mod cooperation;
 mod distribution;
+mod error;
 mod files;
 mod ledger;
 mod links;
@@ -26,6 +27,7 @@ mod timing;
 pub use causes::named_counters;
 pub use cooperation::{Cooperation, UNUSED, Unused};
 pub use distribution::{Ages, Spread};
+pub use error::ResultsError;
 pub use files::{
     FilesError, RESULT_FILE, claim, earlier, read_run, run_folder, write_result, write_run, write_run_and_courses,
 };

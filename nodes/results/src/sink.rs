@@ -11,13 +11,12 @@ use serde::{Deserialize, Serialize};
 use crate::progress::Progress;
 use crate::timing::Pace;
 use crate::{
-    Cooperation, EdgeBooks, Ledger, NodeSummary, Run, RunResult, Samples, Timing, TimingSamples, add_name, claim,
-    link_books, write_run_and_courses,
+    Cooperation, EdgeBooks, Ledger, NodeSummary, ResultsError, Run, RunResult, Samples, Timing, TimingSamples,
+    add_name, claim, link_books, write_run_and_courses,
 };
 
 /// Settings of [`Results`].
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// Folder of the files; an earlier run's files in it are replaced.
     #[setting(default = "../target/realo/run", role = "out")]
@@ -43,7 +42,7 @@ pub struct RunSettings {
 }
 
 impl Settings {
-    fn run_settings(&self) -> Result<RunSettings, Error> {
+    fn run_settings(&self) -> Result<RunSettings, ResultsError> {
         if self.run_settings.as_os_str().is_empty() {
             let graph = self.out.file_name().unwrap_or_default().to_string_lossy().into_owned();
             let settings = crate::Settings {
@@ -55,9 +54,10 @@ impl Settings {
                 ..RunSettings::default()
             });
         }
-        let wrong = |reason: String| format!("argument `run_settings`: {}: {reason}", self.run_settings.display());
-        let text = std::fs::read_to_string(&self.run_settings).map_err(|error| wrong(error.to_string()))?;
-        Ok(serde_json::from_str(&text).map_err(|error| wrong(format!("not what a run tells of itself: {error}")))?)
+        let file = || self.run_settings.clone();
+        let text = std::fs::read_to_string(&self.run_settings)
+            .map_err(|error| ResultsError::RunFile { file: file(), error })?;
+        serde_json::from_str(&text).map_err(|error| ResultsError::RunSettings { file: file(), error })
     }
 }
 
@@ -76,7 +76,9 @@ impl Sweeps {
     }
 }
 
-/// The node `results`.
+/// Closes the books of a run and writes result.json, timing.json and evaluation.json.
+#[derive(Describe)]
+#[stage(output = NoOutput)]
 pub struct Results {
     out: PathBuf,
     log: String,
@@ -111,18 +113,10 @@ pub enum Input {
     Peers(Header, Report),
 }
 
-impl Describe for Results {
-    type Settings = Settings;
-    type Input = Input;
-    type Output = NoOutput;
-    const NAME: &'static str = "results";
-    const ABOUT: &'static str = "closes the books of a run and writes result.json, timing.json and evaluation.json";
-}
-
 impl Sink for Results {
-    fn new(settings: Settings) -> Result<Self, Error> {
+    fn build(settings: Settings) -> Result<Self, Error> {
         if settings.out.as_os_str().is_empty() {
-            return Err("argument `out`: expected a folder, found nothing".into());
+            return Err(ResultsError::NoFolder.into());
         }
         claim(&settings.out)?;
         let RunSettings {
@@ -198,12 +192,14 @@ fn name_and_path(log: String) -> (String, Option<String>) {
 }
 
 /// The document of a report, which must be of the port's topic.
-fn document<T: DeserializeOwned>(header: &Header, report: &Report, topic: &str) -> Result<T, Error> {
-    if &*report.topic != topic {
-        return Err(format!(
-            "expected a report of topic `{topic}`, found `{}` ({header})",
-            report.topic
-        )
+fn document<T: DeserializeOwned>(header: &Header, report: &Report, expected: &'static str) -> Result<T, Error> {
+    if &*report.topic != expected {
+        let (found, header) = (report.topic.clone(), header.clone().into());
+        return Err(ResultsError::Topic {
+            expected,
+            found,
+            header,
+        }
         .into());
     }
     Ok(from_report::<T>(report)?)
@@ -228,9 +224,9 @@ impl Results {
             .for_each(|agent| add_name(&mut self.result.agents, agent));
     }
 
-    fn take_evaluation(&mut self, report: EvaluationReport) -> Result<(), Error> {
+    fn take_evaluation(&mut self, report: EvaluationReport) -> Result<(), ResultsError> {
         if self.samples.evaluation.is_some() {
-            return Err("a second report of topic `evaluation`; a graph has one evaluator".into());
+            return Err(ResultsError::SecondEvaluation);
         }
         let mut evaluation = report.evaluation;
         for scene in &mut evaluation.scenes {

@@ -1,6 +1,7 @@
 //! BEV maps as messages: what a network makes, written; what another stage of the same model sent, read. And what computes
 //! the network: the [`Engine`].
 
+mod computing;
 mod decoder;
 mod engine;
 
@@ -12,6 +13,7 @@ use realo_methods::Loaded;
 use realo_operator::Error;
 use realo_schemas::{DType, FeatureMap, Name, feature_map};
 
+pub use computing::Computing;
 pub use decoder::{Decoded, Decoder};
 pub use engine::{Device, Engine, EngineError};
 

@@ -2,8 +2,7 @@
 
 use std::path::PathBuf;
 
-use realo_bev::{Decoder, Device, Engine, Maps};
-use realo_methods::Kernels;
+use realo_bev::{Computing, Decoder, Engine, Maps};
 use realo_nn::anchors::Anchors;
 use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings};
 use realo_schemas::{Boxes, Elements, FeatureMap, Header, Kind};
@@ -11,24 +10,16 @@ use serde::{Deserialize, Serialize};
 
 /// Settings of [`DetectionHead`].
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// The model file; its weights lie beside it.
     #[setting(default = "../models/lite.toml", role = "model")]
     pub model: PathBuf,
     /// Min score of a box; null: the model's.
     pub score_threshold: Option<f32>,
-    /// Kernels: auto, portable, avx2, avx512, avx512bf16 or amx.
-    #[setting(default = realo_methods::AUTO.into(), role = "isa")]
-    pub isa: String,
-    /// Number type: auto (the model's), f32, bf16 or int8.
-    #[setting(default = realo_methods::AUTO.into(), role = "precision")]
-    pub precision: String,
-    /// Threads of the network; 0: one for each processor.
-    pub threads: usize,
-    /// What computes the network: cpu, or cuda where the build has it.
-    #[setting(role = "device")]
-    pub device: Device,
+    /// How the network is computed.
+    #[setting(flatten)]
+    #[serde(flatten)]
+    pub computing: Computing,
 }
 
 /// A threshold, of the argument or of the model, that no score has.
@@ -36,7 +27,9 @@ pub struct Settings {
 #[error("argument `score_threshold`: expected 0 to 1, found {0}")]
 pub struct ScoreThreshold(f32);
 
-/// The operator `detection-head`.
+/// Finds boxes in BEV maps: the heads of a PointPillars model, decoded.
+#[derive(Describe)]
+#[stage(counters(OVER_LIMIT_BOXES, INVALID_BOXES))]
 pub struct DetectionHead {
     engine: Engine,
     decoder: Decoder,
@@ -69,23 +62,9 @@ pub enum Output {
     Proposals(Header, Boxes),
 }
 
-impl Describe for DetectionHead {
-    type Settings = Settings;
-    type Input = Input;
-    type Output = Output;
-    const NAME: &'static str = "detection-head";
-    const ABOUT: &'static str = "From BEV maps to boxes: the heads of a PointPillars model, decoded";
-    const COUNTERS: &'static [Counter] = &[OVER_LIMIT_BOXES, INVALID_BOXES];
-}
-
 impl Operator for DetectionHead {
-    fn new(settings: Settings) -> Result<Self, Error> {
-        let kernels = Kernels {
-            isa: &settings.isa,
-            precision: &settings.precision,
-            threads: settings.threads,
-        };
-        let loaded = realo_methods::load(&settings.model, kernels)?;
+    fn build(settings: Settings) -> Result<Self, Error> {
+        let loaded = settings.computing.load(&settings.model)?;
         let threshold = settings.score_threshold.unwrap_or(loaded.model.score_threshold);
         if !(0.0..1.0).contains(&threshold) {
             return Err(ScoreThreshold(threshold).into());
@@ -93,11 +72,11 @@ impl Operator for DetectionHead {
         Ok(DetectionHead {
             decoder: Decoder::new(Anchors::of(&loaded.model), threshold),
             maps: Maps::of(&loaded),
-            engine: Engine::new(loaded, settings.device, Elements::F32)?,
+            engine: Engine::new(loaded, settings.computing.device, Elements::F32)?,
         })
     }
 
-    fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, input: Input, out: &mut Outputs<Output>) -> Result<(), Error> {
         let Input::Features(header, map) = input;
         let heads = self.engine.heads(self.maps.read(&map)?.view(), out.steps())?;
         let found = self.decoder.decode(&heads.scores, &heads.deltas);
@@ -147,7 +126,7 @@ mod tests {
                 .flat_map(|value| value.to_le_bytes())
                 .collect::<Vec<u8>>()
                 .into(),
-            model: realo_methods::load(MODEL.as_ref(), Kernels::auto(1))
+            model: realo_methods::load(MODEL.as_ref(), realo_methods::Kernels::auto(1))
                 .unwrap()
                 .identity
                 .as_str()

@@ -11,9 +11,8 @@ use serde::{Deserialize, Serialize};
 
 /// Settings of [`Evaluator`].
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
 pub struct Settings {
-    /// What counts: default, dair, dair-vehicle, dair-roadside, or the path of a protocol file.
+    /// What counts: `default`, `dair`, `dair-vehicle`, `dair-roadside`, or the path of a protocol file.
     #[setting(default = "default", role = "protocol")]
     pub protocol: String,
 }
@@ -23,7 +22,9 @@ pub struct Settings {
 #[error("a message after the end")]
 pub struct AfterTheEnd;
 
-/// The operator `evaluator`.
+/// Scores boxes against ground truth: average precision by a protocol.
+#[derive(Describe)]
+#[stage(counters(BOXES_WITHOUT_TRUTH))]
 pub struct Evaluator {
     collector: Option<Collector>,
     /// The header of the report derives from it.
@@ -54,24 +55,15 @@ pub enum Output {
     Report(Header, Report),
 }
 
-impl Describe for Evaluator {
-    type Settings = Settings;
-    type Input = Input;
-    type Output = Output;
-    const NAME: &'static str = "evaluator";
-    const ABOUT: &'static str = "scores boxes against ground truth: average precision by a protocol";
-    const COUNTERS: &'static [Counter] = &[BOXES_WITHOUT_TRUTH];
-}
-
 impl Operator for Evaluator {
-    fn new(settings: Settings) -> Result<Self, Error> {
+    fn build(settings: Settings) -> Result<Self, Error> {
         Ok(Evaluator {
             collector: Some(Collector::new(Protocol::load(&settings.protocol)?)),
             last: None,
         })
     }
 
-    fn on_input(&mut self, input: Input, _out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, input: Input, _out: &mut Outputs<Output>) -> Result<(), Error> {
         let collector = self.collector.as_mut().ok_or(AfterTheEnd)?;
         match input {
             Input::Truth(header, truth) => {
@@ -83,7 +75,7 @@ impl Operator for Evaluator {
         Ok(())
     }
 
-    fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
+    fn on_end(&mut self, out: &mut Outputs<Output>) -> Result<(), Error> {
         // Without any truth there is no ego to report on.
         let (Some(collector), Some(last)) = (self.collector.take(), self.last.take()) else {
             return Ok(());

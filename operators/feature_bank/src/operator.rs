@@ -1,6 +1,6 @@
 use std::collections::{BTreeMap, BTreeSet};
 
-use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings, StageSettings};
+use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings};
 use realo_schemas::report::Fate;
 use realo_schemas::{Header, Message, Name, Nanos, Selection};
 use serde::{Deserialize, Serialize};
@@ -14,7 +14,6 @@ const NANOS_PER_MILLI: Nanos = 1_000_000;
 
 /// Settings of the bank.
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// Max age of what is selected online, ms.
     #[setting(default = 400)]
@@ -43,7 +42,9 @@ pub struct Forgetful {
     forget: u32,
 }
 
-/// Holds what collaborators sent and answers the ego's queries.
+/// Holds what collaborators sent and selects what each message of the ego is fused with.
+#[derive(Describe)]
+#[stage(counters(ENTRIES, REPEATED, FROM_EGO))]
 pub struct FeatureBank {
     bank: Bank,
     window_ms: u32,
@@ -89,17 +90,8 @@ pub enum Output {
     Selections(Header, Selection),
 }
 
-impl Describe for FeatureBank {
-    type Settings = Settings;
-    type Input = Input;
-    type Output = Output;
-    const NAME: &'static str = "feature-bank";
-    const ABOUT: &'static str = "Holds what collaborators sent and selects what each message of the ego is fused with";
-    const COUNTERS: &'static [Counter] = &[ENTRIES, REPEATED, FROM_EGO];
-}
-
 impl FeatureBank {
-    fn ask(&mut self, query: Header, out: &mut Outputs) {
+    fn ask(&mut self, query: Header, out: &mut Outputs<Output>) {
         let (until, awaited) = if self.bank.offline {
             (query.stamp.saturating_add(OFFLINE_REACH), BTreeSet::new())
         } else {
@@ -138,7 +130,7 @@ impl FeatureBank {
     }
 
     /// A message has come: who has waited for it, and for nobody else, goes on.
-    fn go_on(&mut self, sender: &Name, out: &mut Outputs) {
+    fn go_on(&mut self, sender: &Name, out: &mut Outputs<Output>) {
         let Some(mut first) = self.pending.first_entry() else {
             return;
         };
@@ -149,7 +141,7 @@ impl FeatureBank {
         }
     }
 
-    fn answer(&mut self, query: Header, out: &mut Outputs) {
+    fn answer(&mut self, query: Header, out: &mut Outputs<Output>) {
         // A query that has only waited for its turn must not see what became ready after it.
         let asked = match self.patience {
             0 => query.ready,
@@ -172,8 +164,7 @@ impl FeatureBank {
 }
 
 impl Operator for FeatureBank {
-    fn new(settings: Settings) -> Result<Self, Error> {
-        settings.check()?;
+    fn build(settings: Settings) -> Result<Self, Error> {
         let nanos = |millis: u32| Nanos::from(millis) * NANOS_PER_MILLI;
         if settings.forget_ms < settings.window_ms {
             let (forget, window) = (settings.forget_ms, settings.window_ms);
@@ -195,7 +186,7 @@ impl Operator for FeatureBank {
         })
     }
 
-    fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, input: Input, out: &mut Outputs<Output>) -> Result<(), Error> {
         match input {
             Input::Ego(message) => {
                 self.bank.expect(message.payload.payload_type());
@@ -221,7 +212,7 @@ impl Operator for FeatureBank {
         Ok(())
     }
 
-    fn on_wake(&mut self, now: Nanos, out: &mut Outputs) -> Result<(), Error> {
+    fn on_wake(&mut self, now: Nanos, out: &mut Outputs<Output>) -> Result<(), Error> {
         let later = self.pending.split_off(&(now.saturating_add(1), 0));
         for waiting in std::mem::replace(&mut self.pending, later).into_values() {
             self.answer(waiting.query, out);
@@ -229,7 +220,7 @@ impl Operator for FeatureBank {
         Ok(())
     }
 
-    fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
+    fn on_end(&mut self, out: &mut Outputs<Output>) -> Result<(), Error> {
         out.explain(Fate::Stale, self.stale());
         for waiting in std::mem::take(&mut self.pending).into_values() {
             self.answer(waiting.query, out);

@@ -201,7 +201,7 @@ impl<T> Set<T> {
     /// Sends what was fused of the set, and says what became of each collaborator's message.
     ///
     /// `output`: the port, such as `Output::Proposals`.
-    pub fn send<P, O: StageOutputs>(self, output: impl FnOnce(Header, P) -> O, fused: P, out: &mut Outputs) {
+    pub fn send<P, O: StageOutputs>(self, output: impl FnOnce(Header, P) -> O, fused: P, out: &mut Outputs<O>) {
         for Collaborator { header, .. } in &self.collaborators {
             out.count_of(&REJECTED_MESSAGES, &header.agent, 0, 1);
             out.used(header, &self.header);

@@ -5,14 +5,13 @@
 //! stamps is not removed.
 
 use realo_fusion::{Input, Pairing, Set};
-use realo_operator::{Counter, Describe, Error, Operator, Outputs, Settings, StageSettings};
+use realo_operator::{Counter, Describe, Error, Operator, Outputs, Settings};
 use realo_schemas::geometry::transform_box;
 use realo_schemas::{Box3, Boxes, Header};
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`FusionBoxes`].
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// Whether the ego's own boxes take part; false: the collaborators alone.
     #[setting(default = true)]
@@ -34,7 +33,9 @@ pub fn fuse(set: &Set<Boxes>, ego_boxes: bool) -> Vec<Box3> {
     own.iter().cloned().chain(theirs).collect()
 }
 
-/// The operator `fusion-boxes`.
+/// Late fusion: brings collaborators' boxes to the ego's frame and lists them after its own.
+#[derive(Describe)]
+#[stage(input = Input<Boxes>, counters(LOW_SCORE_BOXES, realo_fusion::OVER_LIMIT_MESSAGES, realo_fusion::REJECTED_MESSAGES))]
 pub struct FusionBoxes {
     settings: Settings,
     pairing: Pairing<Boxes>,
@@ -49,30 +50,15 @@ pub enum Output {
     Proposals(Header, Boxes),
 }
 
-impl Describe for FusionBoxes {
-    type Settings = Settings;
-    type Input = Input<Boxes>;
-    type Output = Output;
-    const NAME: &'static str = "fusion-boxes";
-    const ABOUT: &'static str =
-        "late fusion: brings collaborators' boxes to the ego's frame and lists them after its own";
-    const COUNTERS: &'static [Counter] = &[
-        LOW_SCORE_BOXES,
-        realo_fusion::OVER_LIMIT_MESSAGES,
-        realo_fusion::REJECTED_MESSAGES,
-    ];
-}
-
 impl Operator for FusionBoxes {
-    fn new(settings: Settings) -> Result<Self, Error> {
-        settings.check()?;
+    fn build(settings: Settings) -> Result<Self, Error> {
         Ok(FusionBoxes {
             settings,
             pairing: Pairing::default(),
         })
     }
 
-    fn on_input(&mut self, input: Input<Boxes>, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, input: Input<Boxes>, out: &mut Outputs<Output>) -> Result<(), Error> {
         let Some(set) = self.pairing.take(input, self.settings.max_collaborators)? else {
             return Ok(());
         };
@@ -130,7 +116,11 @@ mod tests {
     }
 
     /// Feeds one set of an ego 100 km from the map's origin.
-    fn fuse_set(settings: Settings, ego_boxes: Vec<Box3>, entries: Vec<Message>) -> (Vec<Box3>, Reported, Outputs) {
+    fn fuse_set(
+        settings: Settings,
+        ego_boxes: Vec<Box3>,
+        entries: Vec<Message>,
+    ) -> (Vec<Box3>, Reported, Outputs<Output>) {
         let mut operator = FusionBoxes::new(settings).unwrap();
         let mut out = Outputs::at(100);
         let ego = header("cav1", 7, Some(pose(1e5, -1e5, 0.4)));

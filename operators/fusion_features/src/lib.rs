@@ -10,18 +10,16 @@
 use std::path::PathBuf;
 
 use nalgebra::Isometry3;
-use realo_bev::{Device, Engine, Maps, Read};
+use realo_bev::{Computing, Engine, Maps, Read};
 use realo_fusion::{Collaborator, Input, Pairing};
 use realo_kernels::agents::Agent;
 use realo_kernels::warp::Warp;
-use realo_methods::Kernels;
-use realo_operator::{Counter, Describe, Error, Operator, Outputs, Settings};
+use realo_operator::{Describe, Error, Operator, Outputs, Settings};
 use realo_schemas::{Elements, FeatureMap, Header, Name, Nanos};
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`FusionFeatures`].
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// The model file, whose arch fuses; its weights lie beside it.
     #[setting(default = "../models/lite-attfuse.toml", role = "model")]
@@ -31,17 +29,10 @@ pub struct Settings {
     /// Agents that are roadside units, by name, separated by commas; others are vehicles.
     #[setting(role = "roadside")]
     pub roadside: String,
-    /// Kernels: auto, portable, avx2, avx512, avx512bf16 or amx.
-    #[setting(default = realo_methods::AUTO.into(), role = "isa")]
-    pub isa: String,
-    /// Number type: auto (the model's), f32, bf16 or int8.
-    #[setting(default = realo_methods::AUTO.into(), role = "precision")]
-    pub precision: String,
-    /// Threads of the network; 0: one for each processor.
-    pub threads: usize,
-    /// What computes the network: cpu, or cuda where the build has it.
-    #[setting(role = "device")]
-    pub device: Device,
+    /// How the network is computed.
+    #[setting(flatten)]
+    #[serde(flatten)]
+    pub computing: Computing,
 }
 
 /// Why feature maps are not fused.
@@ -76,7 +67,9 @@ pub enum FeatureError {
     Refused(String),
 }
 
-/// The operator `fusion-features`.
+/// Intermediate fusion: brings collaborators' BEV maps to the ego's and fuses them.
+#[derive(Describe)]
+#[stage(input = Input<FeatureMap>, counters = realo_fusion::COUNTERS)]
 pub struct FusionFeatures {
     engine: Engine,
     maps: Maps,
@@ -93,23 +86,9 @@ pub enum Output {
     Features(Header, FeatureMap),
 }
 
-impl Describe for FusionFeatures {
-    type Settings = Settings;
-    type Input = Input<FeatureMap>;
-    type Output = Output;
-    const NAME: &'static str = "fusion-features";
-    const ABOUT: &'static str = "intermediate fusion: brings collaborators' BEV maps to the ego's and fuses them";
-    const COUNTERS: &'static [Counter] = realo_fusion::COUNTERS;
-}
-
 impl Operator for FusionFeatures {
-    fn new(settings: Settings) -> Result<Self, Error> {
-        let kernels = Kernels {
-            isa: &settings.isa,
-            precision: &settings.precision,
-            threads: settings.threads,
-        };
-        let loaded = realo_methods::load(&settings.model, kernels)?;
+    fn build(settings: Settings) -> Result<Self, Error> {
+        let loaded = settings.computing.load(&settings.model)?;
         let most = loaded.model.arch.agents() - 1;
         if !loaded.model.arch.fuses() {
             return Err(FeatureError::Alone {
@@ -129,7 +108,7 @@ impl Operator for FusionFeatures {
         }
         Ok(FusionFeatures {
             maps: Maps::of(&loaded),
-            engine: Engine::new(loaded, settings.device, Elements::F32)?,
+            engine: Engine::new(loaded, settings.computing.device, Elements::F32)?,
             limit,
             roadside: settings
                 .roadside
@@ -141,7 +120,7 @@ impl Operator for FusionFeatures {
         })
     }
 
-    fn on_input(&mut self, input: Input<FeatureMap>, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, input: Input<FeatureMap>, out: &mut Outputs<Output>) -> Result<(), Error> {
         let Some(mut set) = self.pairing.take(input, Some(self.limit))? else {
             return Ok(());
         };

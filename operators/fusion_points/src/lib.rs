@@ -21,7 +21,6 @@ const EMPTY_SWEEPS: Counter = Counter::log_fault(
 
 /// Settings of [`FusionPoints`].
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// Collaborators that a fusion takes, the nearest to the ego; null = all.
     pub max_collaborators: Option<usize>,
@@ -73,7 +72,7 @@ fn later(cloud: PointCloud, by: Nanos) -> PointCloud {
 }
 
 /// Counts the sweeps of a set that have no point within reach of the ego.
-fn count_empty(set: &Set<PointCloud>, merged: &PointCloud, out: &mut Outputs) {
+fn count_empty(set: &Set<PointCloud>, merged: &PointCloud, out: &mut Outputs<Output>) {
     let others = set
         .collaborators
         .iter()
@@ -94,7 +93,9 @@ fn count_empty(set: &Set<PointCloud>, merged: &PointCloud, out: &mut Outputs) {
     }
 }
 
-/// The operator `fusion-points`.
+/// Early fusion: brings collaborators' points to the ego's frame, behind its own.
+#[derive(Describe)]
+#[stage(input = Input<PointCloud>, counters(realo_fusion::OVER_LIMIT_MESSAGES, realo_fusion::REJECTED_MESSAGES, EMPTY_SWEEPS))]
 pub struct FusionPoints {
     settings: Settings,
     pairing: Pairing<PointCloud>,
@@ -107,28 +108,15 @@ pub enum Output {
     Clouds(Header, PointCloud),
 }
 
-impl Describe for FusionPoints {
-    type Settings = Settings;
-    type Input = Input<PointCloud>;
-    type Output = Output;
-    const NAME: &'static str = "fusion-points";
-    const ABOUT: &'static str = "early fusion: brings collaborators' points to the ego's frame, behind its own";
-    const COUNTERS: &'static [Counter] = &[
-        realo_fusion::OVER_LIMIT_MESSAGES,
-        realo_fusion::REJECTED_MESSAGES,
-        EMPTY_SWEEPS,
-    ];
-}
-
 impl Operator for FusionPoints {
-    fn new(settings: Settings) -> Result<Self, Error> {
+    fn build(settings: Settings) -> Result<Self, Error> {
         Ok(FusionPoints {
             settings,
             pairing: Pairing::default(),
         })
     }
 
-    fn on_input(&mut self, input: Input<PointCloud>, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, input: Input<PointCloud>, out: &mut Outputs<Output>) -> Result<(), Error> {
         let Some(mut set) = self.pairing.take(input, self.settings.max_collaborators)? else {
             return Ok(());
         };

@@ -1,6 +1,6 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
-use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings, StageSettings, StreamKey};
+use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings, StreamKey};
 use realo_schemas::report::{Fate, Traffic};
 use realo_schemas::{AgentState, Header, Name, Nanos, Packet};
 use serde::{Deserialize, Serialize};
@@ -9,9 +9,8 @@ use crate::{Arrivals, Medium, Model, Passed, Profile, transmit};
 
 /// Settings of the link.
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
 pub struct Settings {
-    /// Channel model: perfect, paper, a .toml or .yml file, or settings: delay_ms=90,loss=0.05.
+    /// Channel model: `perfect`, `paper`, a .toml or .yml file, or settings: `delay_ms=90,loss=0.05`.
     #[setting(default = "perfect", role = "link")]
     pub profile: String,
     /// Max distance in (x, y) over which packets are sent, m; inclusive.
@@ -58,7 +57,7 @@ impl TooEarly {
     }
 
     /// Counts them once all is known: a short while is how a graph starts, a longer one is a fault.
-    fn settle(&self, fault: &'static Counter, agent: &Name, out: &mut Outputs) {
+    fn settle(&self, fault: &'static Counter, agent: &Name, out: &mut Outputs<Output>) {
         let is_start = self.last.saturating_sub(self.first) <= START;
         let counter = if is_start { &BEFORE_START } else { fault };
         out.count_of(counter, agent, self.count, 0);
@@ -86,7 +85,9 @@ pub enum LinkError {
     Position(f64, f64),
 }
 
-/// Carries packets between the ego and the others.
+/// Carries packets between the ego and the others: range, delay, jitter, loss.
+#[derive(Describe)]
+#[stage(counters(NO_RECEIVER, BEFORE_START, UNPLACED))]
 pub struct Link {
     profile: Profile,
     medium: Option<Medium>,
@@ -155,15 +156,6 @@ pub enum Output {
     ToOthers(Header, Packet),
 }
 
-impl Describe for Link {
-    type Settings = Settings;
-    type Input = Input;
-    type Output = Output;
-    const NAME: &'static str = "link";
-    const ABOUT: &'static str = "Carries packets between the ego and the others: range, delay, jitter, loss";
-    const COUNTERS: &'static [Counter] = &[NO_RECEIVER, BEFORE_START, UNPLACED];
-}
-
 impl Link {
     /// The ego's name, learned from its lane unless an argument names it.
     fn ego_lane(&mut self, agent: &Name) -> Result<(), LinkError> {
@@ -187,7 +179,7 @@ impl Link {
         Ok(())
     }
 
-    fn state(&mut self, header: Header, state: &AgentState, out: &mut Outputs) -> Result<(), LinkError> {
+    fn state(&mut self, header: Header, state: &AgentState, out: &mut Outputs<Output>) -> Result<(), LinkError> {
         let t = &state.map_from_body.translation.vector;
         if !(t.x.is_finite() && t.y.is_finite()) {
             return Err(LinkError::Position(t.x, t.y));
@@ -219,7 +211,7 @@ impl Link {
     }
 
     /// Carries a packet of another agent, or keeps it for a while.
-    fn hear_other(&mut self, sent: Sent, out: &mut Outputs) {
+    fn hear_other(&mut self, sent: Sent, out: &mut Outputs<Output>) {
         let Some(ego) = self.ego.clone() else {
             return TooEarly::add(&mut self.unreceived, sent.1.agent, sent.0);
         };
@@ -277,7 +269,7 @@ impl Link {
         output: fn(Header, Packet) -> Output,
         to: &Name,
         Sent(sent, header, packet): &Sent,
-        out: &mut Outputs,
+        out: &mut Outputs<Output>,
     ) {
         let from = &header.agent;
         let in_range = self.in_range(from, to);
@@ -325,8 +317,7 @@ impl Link {
 }
 
 impl Operator for Link {
-    fn new(settings: Settings) -> Result<Self, Error> {
-        settings.check()?;
+    fn build(settings: Settings) -> Result<Self, Error> {
         let mut profile = Profile::load(&settings.profile)?;
         if settings.offline {
             profile = Profile {
@@ -349,7 +340,7 @@ impl Operator for Link {
         })
     }
 
-    fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, input: Input, out: &mut Outputs<Output>) -> Result<(), Error> {
         match input {
             Input::EgoState(header, state) => {
                 self.ego_lane(&header.agent)?;
@@ -375,7 +366,7 @@ impl Operator for Link {
         }
     }
 
-    fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
+    fn on_end(&mut self, out: &mut Outputs<Output>) -> Result<(), Error> {
         let early = std::mem::take(&mut self.early).into_values().flatten();
         if let Some(ego) = self.ego.clone() {
             early.for_each(|sent| self.carry(Output::ToEgo, &ego, &sent, out));

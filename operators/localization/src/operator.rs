@@ -1,4 +1,4 @@
-use realo_operator::{Describe, Error, Inputs, Operator, Outputs, Settings, StageSettings, StreamKey};
+use realo_operator::{Describe, Error, Inputs, Operator, Outputs, Settings, StreamKey};
 use realo_schemas::{AgentState, Header, Kind, PointCloud, Pose, PoseStatus};
 use serde::{Deserialize, Serialize};
 
@@ -28,9 +28,8 @@ pub enum NoiseDraws {
 
 /// Settings of localization.
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
 pub struct Settings {
-    /// Recorded (as the log gives them) or true (refuses any other).
+    /// Poses that are taken: `recorded` (as the log gives them) or `true` (refuses any other).
     pub source: Source,
     /// Standard deviation of normal errors of x, y and z, m.
     #[setting(range = 0.0..=1000.0)]
@@ -38,7 +37,7 @@ pub struct Settings {
     /// Standard deviation of normal errors of the heading, degrees.
     #[setting(range = 0.0..=180.0)]
     pub heading_noise_deg: f64,
-    /// Each (an error for each agent and sweep) or same (one for all, as V2X-Real draws it).
+    /// Errors of poses: `each` (one for each agent and sweep) or `same` (one for all, as V2X-Real draws it).
     pub noise: NoiseDraws,
     /// Seed of the errors.
     #[setting(role = "seed")]
@@ -123,7 +122,8 @@ pub enum LocalizationError {
     NoSweep,
 }
 
-/// Says where each agent is at each sweep.
+/// Says where each agent is at each sweep: the pose that the log gives, with noise if asked for.
+#[derive(Describe)]
 pub struct Localization {
     source: Source,
     noise: Option<Noise>,
@@ -151,18 +151,8 @@ pub enum Output {
     State(Header, AgentState),
 }
 
-impl Describe for Localization {
-    type Settings = Settings;
-    type Input = Input;
-    type Output = Output;
-    const NAME: &'static str = "localization";
-    const ABOUT: &'static str =
-        "Says where each agent is at each sweep: the pose that the log gives, with noise if asked for";
-}
-
 impl Operator for Localization {
-    fn new(settings: Settings) -> Result<Self, Error> {
-        settings.check()?;
+    fn build(settings: Settings) -> Result<Self, Error> {
         Ok(Localization {
             noise: noise_of(&settings)?,
             source: settings.source,
@@ -170,7 +160,7 @@ impl Operator for Localization {
         })
     }
 
-    fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, input: Input, out: &mut Outputs<Output>) -> Result<(), Error> {
         match input {
             Input::Clouds(header, cloud) => self.sweep = Some((header, cloud)),
             Input::States(state_header, prior) => {

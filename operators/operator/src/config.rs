@@ -168,6 +168,20 @@ mod tests {
         /// Time, ms.
         #[setting(range = 1..)]
         window_ms: Option<u32>,
+        /// A part.
+        #[setting(flatten)]
+        #[serde(flatten)]
+        part: Part,
+        /// Time by time.
+        #[setting(default = 1.0, range = 0.0<..=8.0)]
+        rate: f64,
+    }
+
+    #[derive(Debug, PartialEq, crate::Settings, Serialize, Deserialize)]
+    struct Part {
+        /// Threads.
+        #[setting(default = 2, range = 1..)]
+        threads: usize,
     }
 
     fn read(args: &[&str]) -> Result<Settings, ConfigError> {
@@ -176,12 +190,14 @@ mod tests {
 
     #[test]
     fn reads_values_over_defaults() {
-        let settings = read(&["threshold=0.3", "ego=7", "agents=a, b", "window_ms=5"]).unwrap();
+        let settings = read(&["threshold=0.3", "ego=7", "agents=a, b", "window_ms=5", "threads=3"]).unwrap();
         let expected = Settings {
             threshold: 0.3,
             ego: "7".into(),
             agents: vec!["a".into(), "b".into()],
             window_ms: Some(5),
+            part: Part { threads: 3 },
+            rate: 1.0,
         };
         assert_eq!(settings, expected);
         assert_eq!(read(&[]).unwrap(), Settings::default());
@@ -201,7 +217,8 @@ mod tests {
     }
     #[test]
     fn refuses_what_is_out_of_range() {
-        assert!(read(&["threshold=1", "window_ms=null"]).is_ok());
+        assert!(read(&["threshold=1", "window_ms=null", "rate=8"]).is_ok());
+        assert!(read(&["rate=1e-9"]).is_ok());
         let cases = [
             ("threshold=1.01", "argument `threshold`: expected 0 to 1, found 1.01"),
             (
@@ -213,6 +230,9 @@ mod tests {
                 "argument `window_ms`: `-.INF` does not fit: expected a finite number",
             ),
             ("window_ms=0", "argument `window_ms`: expected at least 1, found 0"),
+            ("threads=0", "argument `threads`: expected at least 1, found 0"),
+            ("rate=0", "argument `rate`: expected above 0, up to 8, found 0"),
+            ("rate=.inf", "argument `rate`: expected above 0, up to 8, found inf"),
         ];
         for (arg, expected) in cases {
             assert_eq!(read(&[arg]).unwrap_err().to_string(), expected);
@@ -229,5 +249,8 @@ mod tests {
             ("threshold", "IoU", Some("0 to 1"))
         );
         assert_eq!((ego.role, ego.range), (Some("ego"), None));
+        let names = Settings::ARGUMENTS.iter().map(|argument| argument.name);
+        let expected = ["threshold", "ego", "agents", "window_ms", "threads", "rate"];
+        assert_eq!(names.collect::<Vec<_>>(), expected);
     }
 }

@@ -1,6 +1,7 @@
 //! All that an operator needs: the trait, ports, arguments, outputs, and the pipe protocol of plug-ins.
 //!
-//! - [`macro@Settings`], [`macro@Inputs`], [`macro@Outputs`]: derives by which a stage says its arguments and ports.
+//! - [`macro@Describe`], [`macro@Settings`], [`macro@Inputs`], [`macro@Outputs`]: derives by which a stage says its name,
+//!   arguments and ports.
 //! - [`Operator`], [`Source`], [`Sink`], [`Gateway`]: what a stage implements; [`Port`] its contract.
 //! - [`Counter`]: what a stage counts, declared with the note that a count above 0 makes.
 //! - [`Outputs`]: what an operator hands to its driver, and what it says of messages that cross links; [`Steps`] time parts
@@ -28,9 +29,9 @@ mod typed;
 pub use books::{Books, Durations, InputBooks, NodeBooks, Tally};
 pub use counter::{Counter, Counts, Loss, Meaning, Share};
 pub use draw::{Draws, StreamKey};
-pub use operator::{Describe, Error, Gateway, Made, Operator, Outputs, Sink, Source, Waker};
+pub use operator::{AnyOutput, Describe, Error, Gateway, Made, Operator, Outputs, Sink, Source, Waker};
 pub use port::{Class, Port, PortId, Queue, Side, WrongType};
-pub use realo_operator_derive::{Inputs, Outputs, Settings};
+pub use realo_operator_derive::{Describe, Inputs, Outputs, Settings};
 pub use registry::{AnyGateway, AnyOperator, AnySink, AnySource, Built, Registration, Registry, Role};
 // What derived code names.
 #[doc(hidden)]

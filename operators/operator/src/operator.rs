@@ -1,6 +1,7 @@
 use std::collections::{BTreeMap, BTreeSet};
-use std::fmt;
+use std::marker::PhantomData;
 use std::sync::Arc;
+use std::{fmt, mem};
 
 use realo_schemas::report::{Channel, Crossing, Fate, Fated, Traffic, Use};
 use realo_schemas::{Clock, Header, Kind, Message, Name, Nanos};
@@ -10,7 +11,7 @@ use crate::{Counter, Counts, PortId, StageInputs, StageOutputs, StageSettings, S
 /// Why an operator or node could not go on with a message or a configuration.
 pub type Error = Box<dyn std::error::Error + Send + Sync>;
 
-/// What every operator, source and sink says of itself.
+/// What every operator, source and sink says of itself; `#[derive(Describe)]` makes it from the stage's struct.
 pub trait Describe {
     /// Typed settings; a key that it does not have is refused with the nearest name.
     type Settings: StageSettings;
@@ -39,31 +40,40 @@ pub trait Describe {
 ///
 /// It reads no clock, socket or environment, opens no file after `new`, and does not know which driver runs it.
 pub trait Operator: Describe + Sized {
-    /// Builds the stage, files and weights included.
+    /// Builds the stage, files and weights included. The settings are inside their declared ranges.
     ///
     /// # Errors
     /// Anything wrong with the configuration; the graph ends before its first message.
-    fn new(settings: Self::Settings) -> Result<Self, Error>;
+    fn build(settings: Self::Settings) -> Result<Self, Error>;
+
+    /// Checks the declared ranges of the settings, then builds it.
+    ///
+    /// # Errors
+    /// [`ConfigError::Range`](crate::config::ConfigError::Range), and errors of [`build`](Self::build).
+    fn new(settings: Self::Settings) -> Result<Self, Error> {
+        settings.check()?;
+        Self::build(settings)
+    }
 
     /// Takes one message. An error is counted and logged with the message's header; the run goes on.
-    fn on_input(&mut self, input: Self::Input, out: &mut Outputs) -> Result<(), Error>;
+    fn on_input(&mut self, input: Self::Input, out: &mut Outputs<Self::Output>) -> Result<(), Error>;
 
     /// Takes a message of a port, as drivers and tests have it.
     ///
     /// # Errors
     /// [`PortError`](crate::PortError), and those of [`on_input`](Self::on_input).
-    fn on_message(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+    fn on_message(&mut self, port: PortId, message: Message, out: &mut Outputs<Self::Output>) -> Result<(), Error> {
         self.on_input(Self::Input::read(port, message)?, out)
     }
 
     /// Is called at the times that [`Outputs::wake_at`] asked for.
-    fn on_wake(&mut self, now: Nanos, out: &mut Outputs) -> Result<(), Error> {
+    fn on_wake(&mut self, now: Nanos, out: &mut Outputs<Self::Output>) -> Result<(), Error> {
         let _ = (now, out);
         Ok(())
     }
 
     /// Is called once, after the last message and the last wake.
-    fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
+    fn on_end(&mut self, out: &mut Outputs<Self::Output>) -> Result<(), Error> {
         let _ = out;
         Ok(())
     }
@@ -71,17 +81,26 @@ pub trait Operator: Describe + Sized {
 
 /// A node that brings messages into a graph: a player, a sensor.
 pub trait Source: Describe + Sized {
-    /// Opens what it reads.
+    /// Opens what it reads. The settings are inside their declared ranges.
     ///
     /// # Errors
     /// Anything wrong with the configuration or the files it names.
-    fn new(settings: Self::Settings) -> Result<Self, Error>;
+    fn build(settings: Self::Settings) -> Result<Self, Error>;
+
+    /// Checks the declared ranges of the settings, then builds it.
+    ///
+    /// # Errors
+    /// [`ConfigError::Range`](crate::config::ConfigError::Range), and errors of [`build`](Self::build).
+    fn new(settings: Self::Settings) -> Result<Self, Error> {
+        settings.check()?;
+        Self::build(settings)
+    }
 
     /// The next message, in order of its time of release on the log's time line; `None` at the end.
     ///
     /// # Errors
     /// What could not be read; the run fails.
-    fn next(&mut self) -> Result<Option<(Nanos, PortId, Message)>, Error>;
+    fn next(&mut self) -> Result<Option<(Nanos, Self::Output)>, Error>;
 
     /// Seconds of log time per second of wall time in a realtime run.
     fn rate(&self) -> f64 {
@@ -105,11 +124,20 @@ pub trait Source: Describe + Sized {
 /// Messages of the graph come as to an [`Operator`]. What comes from outside it keeps until it is called, which it asks for
 /// by its [`Waker`], and sends in `on_wake`.
 pub trait Gateway: Describe + Sized {
-    /// Opens what it needs; nothing comes in yet.
+    /// Opens what it needs; nothing comes in yet. The settings are inside their declared ranges.
     ///
     /// # Errors
     /// Anything wrong with the configuration, or an address that cannot be had.
-    fn new(settings: Self::Settings) -> Result<Self, Error>;
+    fn build(settings: Self::Settings) -> Result<Self, Error>;
+
+    /// Checks the declared ranges of the settings, then builds it.
+    ///
+    /// # Errors
+    /// [`ConfigError::Range`](crate::config::ConfigError::Range), and errors of [`build`](Self::build).
+    fn new(settings: Self::Settings) -> Result<Self, Error> {
+        settings.check()?;
+        Self::build(settings)
+    }
 
     /// Is called once, before all other calls.
     ///
@@ -118,21 +146,21 @@ pub trait Gateway: Describe + Sized {
     fn open(&mut self, waker: Waker) -> Result<(), Error>;
 
     /// As [`Operator::on_input`]; it must not wait for anybody outside.
-    fn on_input(&mut self, input: Self::Input, out: &mut Outputs) -> Result<(), Error>;
+    fn on_input(&mut self, input: Self::Input, out: &mut Outputs<Self::Output>) -> Result<(), Error>;
 
     /// Takes a message of a port, as drivers and tests have it.
     ///
     /// # Errors
     /// [`PortError`](crate::PortError), and those of [`on_input`](Self::on_input).
-    fn on_message(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+    fn on_message(&mut self, port: PortId, message: Message, out: &mut Outputs<Self::Output>) -> Result<(), Error> {
         self.on_input(Self::Input::read(port, message)?, out)
     }
 
     /// As [`Operator::on_wake`], and whenever the waker has asked for it.
-    fn on_wake(&mut self, now: Nanos, out: &mut Outputs) -> Result<(), Error>;
+    fn on_wake(&mut self, now: Nanos, out: &mut Outputs<Self::Output>) -> Result<(), Error>;
 
     /// As [`Operator::on_end`]. Nothing comes in after it.
-    fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error>;
+    fn on_end(&mut self, out: &mut Outputs<Self::Output>) -> Result<(), Error>;
 }
 
 /// Asks a driver to call a [`Gateway`], from any thread.
@@ -159,11 +187,20 @@ impl fmt::Debug for Waker {
 
 /// A node that takes messages out of a graph: a recorder, the results.
 pub trait Sink: Describe + Sized {
-    /// Opens what it writes.
+    /// Opens what it writes. The settings are inside their declared ranges.
     ///
     /// # Errors
     /// Anything wrong with the configuration or the files it names.
-    fn new(settings: Self::Settings) -> Result<Self, Error>;
+    fn build(settings: Self::Settings) -> Result<Self, Error>;
+
+    /// Checks the declared ranges of the settings, then builds it.
+    ///
+    /// # Errors
+    /// [`ConfigError::Range`](crate::config::ConfigError::Range), and errors of [`build`](Self::build).
+    fn new(settings: Self::Settings) -> Result<Self, Error> {
+        settings.check()?;
+        Self::build(settings)
+    }
 
     /// Takes one message.
     ///
@@ -196,12 +233,55 @@ pub trait Sink: Describe + Sized {
 }
 
 /// What an operator hands to its driver during one call.
+///
+/// `O`: what it may send, its [`Describe::Output`]. Drivers, which know no stage's type, have `Outputs<AnyOutput>`.
+///
+/// ```
+/// use realo_operator::{Message, Outputs};
+///
+/// #[derive(Outputs)]
+/// enum Own {
+///     /// Boxes.
+///     #[port(any_of(Boxes))]
+///     Boxes(Message),
+/// }
+///
+/// fn stage(message: Message, out: &mut Outputs<Own>) {
+///     out.send(Own::Boxes(message));
+/// }
+/// ```
+///
+/// The output of another stage is not taken:
+///
+/// ```compile_fail
+/// # use realo_operator::{Message, Outputs};
+/// # #[derive(Outputs)]
+/// # enum Own {
+/// #     /// Boxes.
+/// #     #[port(any_of(Boxes))]
+/// #     Boxes(Message),
+/// # }
+/// # #[derive(Outputs)]
+/// # enum Other {
+/// #     /// Boxes.
+/// #     #[port(any_of(Boxes))]
+/// #     Boxes(Message),
+/// # }
+/// fn stage(message: Message, out: &mut Outputs<Own>) {
+///     out.send(Other::Boxes(message));
+/// }
+/// ```
 #[derive(Debug)]
-pub struct Outputs {
+pub struct Outputs<O = AnyOutput> {
     now: Nanos,
     made: Made,
     steps: Steps,
+    stage: PhantomData<fn(O)>,
 }
+
+/// The output of a stage whose type is no longer known.
+#[derive(Debug)]
+pub enum AnyOutput {}
 
 /// All that came of one call.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -222,13 +302,14 @@ pub struct Made {
     pub steps: Vec<(&'static str, Nanos)>,
 }
 
-impl Outputs {
+impl<O> Outputs<O> {
     /// Empty outputs of a call that starts at `now`; drivers and tests of operators make them.
     pub fn at(now: Nanos) -> Self {
         Outputs {
             now,
             made: Made::default(),
             steps: Steps::default(),
+            stage: PhantomData,
         }
     }
 
@@ -247,13 +328,15 @@ impl Outputs {
 
     /// Sends a message whose header derives from those of the inputs that made it. A `ready` before now becomes now;
     /// a later one is kept and delays the message.
-    pub fn send(&mut self, output: impl StageOutputs) {
+    pub fn send(&mut self, output: O)
+    where
+        O: StageOutputs,
+    {
         let (port, message) = output.into_message();
-        self.send_on(port, message);
+        self.put(port, message);
     }
 
-    /// Sends on a port by its place, for who hands on what another process sent.
-    pub fn send_on(&mut self, port: PortId, mut message: Message) {
+    fn put(&mut self, port: PortId, mut message: Message) {
         message.header.ready = message.header.ready.max(self.now);
         self.made.sent.push((port, message));
     }
@@ -330,26 +413,6 @@ impl Outputs {
         self.made
     }
 
-    /// Takes over what came of a call in another process.
-    pub fn take_over(&mut self, made: Made) {
-        let Made {
-            sent,
-            wakes,
-            counts,
-            explained,
-            fates,
-            traffic,
-            steps,
-        } = made;
-        sent.into_iter().for_each(|(port, message)| self.send_on(port, message));
-        wakes.into_iter().for_each(|time| self.wake_at(time));
-        self.made.counts.extend(counts);
-        self.made.explained.extend(explained);
-        self.made.fates.extend(fates);
-        self.made.traffic.extend(traffic);
-        self.made.steps.extend(steps);
-    }
-
     /// What was sent so far, in order; for tests of operators.
     pub fn take_sent(&mut self) -> Vec<(PortId, Message)> {
         std::mem::take(&mut self.made.sent)
@@ -368,5 +431,45 @@ impl Outputs {
     /// A counter's value in this call, by its name; for tests of operators.
     pub fn counted(&self, counter: &str) -> u64 {
         self.made.counts.get(counter)
+    }
+}
+
+impl Outputs {
+    /// Sends on a port by its place, for who hands on what another process sent.
+    pub fn send_on(&mut self, port: PortId, message: Message) {
+        self.put(port, message);
+    }
+
+    /// Takes over what came of a call in another process.
+    pub fn take_over(&mut self, made: Made) {
+        let Made {
+            sent,
+            wakes,
+            counts,
+            explained,
+            fates,
+            traffic,
+            steps,
+        } = made;
+        sent.into_iter().for_each(|(port, message)| self.put(port, message));
+        wakes.into_iter().for_each(|time| self.wake_at(time));
+        self.made.counts.extend(counts);
+        self.made.explained.extend(explained);
+        self.made.fates.extend(fates);
+        self.made.traffic.extend(traffic);
+        self.made.steps.extend(steps);
+    }
+
+    /// Makes a call of a stage that sends `O`.
+    pub(crate) fn of_stage<O, T>(&mut self, call: impl FnOnce(&mut Outputs<O>) -> T) -> T {
+        let mut out = Outputs {
+            now: self.now,
+            made: mem::take(&mut self.made),
+            steps: mem::take(&mut self.steps),
+            stage: PhantomData,
+        };
+        let done = call(&mut out);
+        (self.made, self.steps) = (out.made, out.steps);
+        done
     }
 }

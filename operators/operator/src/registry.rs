@@ -33,13 +33,13 @@ pub trait AnyOperator: Send {
 
 impl<O: Operator + Send> AnyOperator for O {
     fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        Operator::on_message(self, port, message, out)
+        out.of_stage(|out| Operator::on_message(self, port, message, out))
     }
     fn on_wake(&mut self, now: Nanos, out: &mut Outputs) -> Result<(), Error> {
-        Operator::on_wake(self, now, out)
+        out.of_stage(|out| Operator::on_wake(self, now, out))
     }
     fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
-        Operator::on_end(self, out)
+        out.of_stage(|out| Operator::on_end(self, out))
     }
 }
 
@@ -56,13 +56,13 @@ struct Calls<G>(G);
 
 impl<G: Gateway + Send> AnyOperator for Calls<G> {
     fn on_input(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
-        self.0.on_message(port, message, out)
+        out.of_stage(|out| self.0.on_message(port, message, out))
     }
     fn on_wake(&mut self, now: Nanos, out: &mut Outputs) -> Result<(), Error> {
-        self.0.on_wake(now, out)
+        out.of_stage(|out| self.0.on_wake(now, out))
     }
     fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
-        self.0.on_end(out)
+        out.of_stage(|out| self.0.on_end(out))
     }
 }
 
@@ -89,7 +89,11 @@ pub trait AnySource: Send {
 
 impl<S: Source + Send> AnySource for S {
     fn next(&mut self) -> Result<Option<(Nanos, PortId, Message)>, Error> {
-        Source::next(self)
+        let next = Source::next(self)?;
+        Ok(next.map(|(time, output)| {
+            let (port, message) = output.into_message();
+            (time, port, message)
+        }))
     }
     fn rate(&self) -> f64 {
         Source::rate(self)
@@ -179,7 +183,7 @@ macro_rules! registration {
                 check: |args| parse::<T::Settings>(args).map(|_| ()),
                 examine: |args| T::examine(&parse(args)?),
                 build: |args| {
-                    let $made = T::new(parse(args)?)?;
+                    let $made = T::build(parse(args)?)?;
                     Ok($built)
                 },
             }

@@ -12,17 +12,15 @@ use crate::{Operator, Registration};
 /// # use realo_operator::{Describe, Error, NoInput, NoOutput, Operator, Outputs, Settings};
 /// # #[derive(Settings, serde::Serialize, serde::Deserialize)]
 /// # struct Nothing {}
-/// # struct Mine;
-/// # impl Describe for Mine {
-/// #     type Settings = Nothing;
-/// #     type Input = NoInput;
-/// #     type Output = NoOutput;
-/// #     const NAME: &'static str = "mine";
-/// #     const ABOUT: &'static str = "";
-/// # }
+/// # type Settings = Nothing;
+/// # type Input = NoInput;
+/// # type Output = NoOutput;
+/// /// Does nothing.
+/// #[derive(Describe)]
+/// struct Mine;
 /// # impl Operator for Mine {
-/// #     fn new(_: Nothing) -> Result<Self, Error> { Ok(Mine) }
-/// #     fn on_input(&mut self, _: NoInput, _: &mut Outputs) -> Result<(), Error> { Ok(()) }
+/// #     fn build(_: Nothing) -> Result<Self, Error> { Ok(Mine) }
+/// #     fn on_input(&mut self, _: NoInput, _: &mut Outputs<NoOutput>) -> Result<(), Error> { Ok(()) }
 /// # }
 /// fn main() -> std::process::ExitCode {
 ///     realo_operator::run::<Mine>()

@@ -16,6 +16,41 @@ pub struct Argument {
     pub role: Option<&'static str>,
 }
 
+impl Argument {
+    /// How many arguments lists have.
+    #[doc(hidden)]
+    pub const fn count(lists: &[&[Argument]]) -> usize {
+        let (mut all, mut list) = (0, 0);
+        while list < lists.len() {
+            all += lists[list].len();
+            list += 1;
+        }
+        all
+    }
+
+    /// The `N` arguments of lists, in their order.
+    #[doc(hidden)]
+    pub const fn joined<const N: usize>(lists: &[&[Argument]]) -> [Argument; N] {
+        let nothing = Argument {
+            name: "",
+            about: "",
+            range: None,
+            role: None,
+        };
+        let (mut all, mut filled, mut list) = ([nothing; N], 0, 0);
+        while list < lists.len() {
+            let mut place = 0;
+            while place < lists[list].len() {
+                all[filled] = lists[list][place];
+                filled += 1;
+                place += 1;
+            }
+            list += 1;
+        }
+        all
+    }
+}
+
 /// The settings of a stage; `#[derive(Settings)]` makes it from a documented struct.
 ///
 /// ```
@@ -24,7 +59,6 @@ pub struct Argument {
 /// use serde::{Deserialize, Serialize};
 ///
 /// #[derive(Debug, Settings, Serialize, Deserialize)]
-/// #[serde(default, deny_unknown_fields)]
 /// struct Suppression {
 ///     /// IoU above which the box with the lower score is dropped.
 ///     #[setting(default = 0.15, range = 0.0..=1.0)]

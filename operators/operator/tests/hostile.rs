@@ -18,6 +18,9 @@ const CASES: u64 = 4000;
 /// What reading a frame may take, bytes; the frames have some thousands.
 const MOST: u64 = 4 << 20;
 
+/// Stands for a program.
+#[derive(Describe)]
+#[stage(settings = Nothing)]
 struct Mine;
 
 /// Nothing is to be set.
@@ -41,20 +44,12 @@ enum Output {
     Boxes(Message),
 }
 
-impl Describe for Mine {
-    type Settings = Nothing;
-    type Input = Input;
-    type Output = Output;
-    const NAME: &'static str = "mine";
-    const ABOUT: &'static str = "stands for a program";
-}
-
 impl Operator for Mine {
-    fn new(_: Nothing) -> Result<Self, Error> {
+    fn build(_: Nothing) -> Result<Self, Error> {
         Ok(Mine)
     }
 
-    fn on_input(&mut self, _: Input, _: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, _: Input, _: &mut Outputs<Output>) -> Result<(), Error> {
         Ok(())
     }
 }

@@ -9,6 +9,8 @@ pub struct Word {
     pub name: Ident,
     /// What stands in parentheses, or behind `=`.
     pub value: TokenStream,
+    /// Whether it stands in parentheses.
+    pub is_list: bool,
 }
 
 /// The words of all attributes of a name.
@@ -36,16 +38,16 @@ fn word(tokens: Vec<TokenTree>) -> Result<Option<Word>> {
             "expected a word such as `latest` or `default = 1`",
         ));
     };
-    let value = match tokens.next() {
-        None => TokenStream::new(),
-        Some(TokenTree::Punct(punct)) if punct.as_char() == '=' => tokens.collect(),
-        Some(TokenTree::Group(group)) if group.delimiter() == Delimiter::Parenthesis => group.stream(),
+    let (value, is_list) = match tokens.next() {
+        None => (TokenStream::new(), false),
+        Some(TokenTree::Punct(punct)) if punct.as_char() == '=' => (tokens.collect(), false),
+        Some(TokenTree::Group(group)) if group.delimiter() == Delimiter::Parenthesis => (group.stream(), true),
         Some(other) => return Err(Error::new(other.span(), "expected `= …` or `(…)`")),
     };
-    Ok(Some(Word { name, value }))
+    Ok(Some(Word { name, value, is_list }))
 }
 
-/// The doc comment as one line, without the full stop at its end.
+/// The first paragraph of the doc comment as one line, without the full stop at its end.
 pub fn doc(attributes: &[Attribute], span: Span, what: &str) -> Result<String> {
     let mut lines = Vec::new();
     for attribute in attributes.iter().filter(|attribute| attribute.path().is_ident("doc")) {
@@ -54,11 +56,15 @@ pub fn doc(attributes: &[Attribute], span: Span, what: &str) -> Result<String> {
                 lit: Lit::Str(text), ..
             }) = &value.value
         {
-            lines.extend(text.value().lines().map(|line| line.trim().to_string()));
+            lines.extend(text.value().split('\n').map(|line| line.trim().to_string()));
         }
     }
-    let text = lines.join(" ");
-    let text = text.trim().trim_end_matches('.');
+    let paragraph = lines
+        .into_iter()
+        .skip_while(String::is_empty)
+        .take_while(|line| !line.is_empty());
+    let text = paragraph.collect::<Vec<_>>().join(" ");
+    let text = text.trim_end_matches('.');
     if text.is_empty() {
         return Err(Error::new(
             span,

@@ -5,14 +5,16 @@
 mod attribute;
 mod ports;
 mod settings;
+mod stage;
 
 use proc_macro::TokenStream;
 use syn::{DeriveInput, parse_macro_input};
 
 /// Makes the settings of a stage from a struct: `Default`, the list of arguments, and the check of ranges.
 ///
-/// A field may say `#[setting(default = …, range = …, role = "…")]`. A default that is not given is the type's own. A range is
-/// one of Rust's with numbers as bounds; `None` is always inside. A role is a word that tools look for.
+/// A field may say `#[setting(default = …, range = …, role = "…")]`, or `#[setting(flatten)]` beside `#[serde(flatten)]`: then its
+/// own settings stand in its place. A default that is not given is the type's own. A range is
+/// one of Rust's with numbers as bounds, or `0.0<..=1.0`, which leaves out its start; `None` is always inside. A role is a word that tools look for.
 #[proc_macro_derive(Settings, attributes(setting))]
 pub fn settings(input: TokenStream) -> TokenStream {
     let input = parse_macro_input!(input as DeriveInput);
@@ -38,6 +40,19 @@ pub fn inputs(input: TokenStream) -> TokenStream {
 pub fn outputs(input: TokenStream) -> TokenStream {
     let input = parse_macro_input!(input as DeriveInput);
     ports::outputs(&input)
+        .unwrap_or_else(syn::Error::into_compile_error)
+        .into()
+}
+
+/// Describes a stage by its struct: the name is the struct's in `kebab-case`, the line of `realo operators` the first paragraph of
+/// its doc comment, and its types are those that are called `Settings`, `Input` and `Output` where it is declared.
+///
+/// `#[stage(…)]` may say `name = "…"`, `settings = …`, `input = …`, `output = …`, `counters(…, …)` or `counters = LIST`, and
+/// `examine = FUNCTION`.
+#[proc_macro_derive(Describe, attributes(stage))]
+pub fn describe(input: TokenStream) -> TokenStream {
+    let input = parse_macro_input!(input as DeriveInput);
+    stage::derive(&input)
         .unwrap_or_else(syn::Error::into_compile_error)
         .into()
 }

@@ -124,7 +124,7 @@ fn port(variant: &Variant) -> Result<PortOf<'_>> {
     let about = doc(&variant.attrs, variant.ident.span(), "a port")?;
     let mut any_of = None;
     let mut properties = TokenStream::new();
-    for Word { name, value } in words(&variant.attrs, "port")? {
+    for Word { name, value, .. } in words(&variant.attrs, "port")? {
         match name.to_string().as_str() {
             "any_of" => any_of = Some(any_of_types(&name, value)?),
             "of" => properties.extend(quote!(.of(::realo_operator::Side::#value))),

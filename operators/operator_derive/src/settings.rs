@@ -14,6 +14,8 @@ struct Setting<'a> {
     default: TokenStream,
     range: Option<(TokenStream, String)>,
     role: Option<TokenStream>,
+    /// Its type, where that has arguments of its own, which stand in its place.
+    part: Option<&'a Type>,
 }
 
 pub fn derive(input: &DeriveInput) -> Result<TokenStream> {
@@ -25,7 +27,7 @@ pub fn derive(input: &DeriveInput) -> Result<TokenStream> {
         _ => return Err(Error::new_spanned(input, "expected a struct")),
     };
     let settings = fields.iter().map(setting).collect::<Result<Vec<_>>>()?;
-    let arguments = settings.iter().map(argument);
+    let arguments = arguments(&settings);
     let checks = settings.iter().filter_map(check);
     let defaults = settings
         .iter()
@@ -38,7 +40,7 @@ pub fn derive(input: &DeriveInput) -> Result<TokenStream> {
             }
         }
         impl ::realo_operator::StageSettings for #name {
-            const ARGUMENTS: &'static [::realo_operator::Argument] = &[#(#arguments),*];
+            const ARGUMENTS: &'static [::realo_operator::Argument] = #arguments;
             fn check(&self) -> ::core::result::Result<(), ::realo_operator::config::ConfigError> {
                 #(#checks)*
                 ::core::result::Result::Ok(())
@@ -59,13 +61,20 @@ fn setting(field: &Field) -> Result<Setting<'_>> {
         default: quote!(::core::default::Default::default()),
         range: None,
         role: None,
+        part: None,
     };
-    for Word { name, value } in words(&field.attrs, "setting")? {
+    for Word { name, value, .. } in words(&field.attrs, "setting")? {
         match name.to_string().as_str() {
             "default" => setting.default = default(value),
             "range" => setting.range = Some((value.clone(), range_words(&name, &value)?)),
             "role" => setting.role = Some(value),
-            _ => return Err(Error::new(name.span(), "expected `default`, `range` or `role`")),
+            "flatten" => setting.part = Some(&field.ty),
+            _ => {
+                return Err(Error::new(
+                    name.span(),
+                    "expected `default`, `range`, `role` or `flatten`",
+                ));
+            }
         }
     }
     Ok(setting)
@@ -90,7 +99,16 @@ fn default(value: TokenStream) -> TokenStream {
 /// What a range says, in words.
 fn range_words(at: &Ident, range: &TokenStream) -> Result<String> {
     let text: String = range.to_string().split_whitespace().collect();
-    let wrong = || Error::new(at.span(), "expected a range of numbers, such as `0.0..=1.0` or `1..`");
+    let wrong = || {
+        Error::new(
+            at.span(),
+            "expected a range of numbers, such as `0.0..=1.0`, `1..` or `0.0<..`",
+        )
+    };
+    let (text, is_above) = match text.split_once('<') {
+        Some((first, rest)) => (format!("{first}{rest}"), true),
+        None => (text, false),
+    };
     let (first, last, is_inclusive) = match (text.split_once("..="), text.split_once("..")) {
         (Some((first, last)), _) => (first, last, true),
         (None, Some((first, last))) => (first, last, false),
@@ -101,6 +119,10 @@ fn range_words(at: &Ident, range: &TokenStream) -> Result<String> {
         text => text.replace('_', "").parse::<f64>().map(Some).map_err(|_| wrong()),
     };
     match (number(first)?, number(last)?) {
+        (Some(first), Some(last)) if is_above && is_inclusive => Ok(format!("above {first}, up to {last}")),
+        (Some(first), Some(last)) if is_above => Ok(format!("above {first}, below {last}")),
+        (Some(first), None) if is_above => Ok(format!("above {first}")),
+        _ if is_above => Err(wrong()),
         (Some(first), Some(last)) if is_inclusive => Ok(format!("{first} to {last}")),
         (Some(first), Some(last)) => Ok(format!("{first} to below {last}")),
         (Some(first), None) => Ok(format!("at least {first}")),
@@ -108,6 +130,25 @@ fn range_words(at: &Ident, range: &TokenStream) -> Result<String> {
         (None, Some(last)) => Ok(format!("below {last}")),
         (None, None) => Err(wrong()),
     }
+}
+
+/// The list of arguments; where a part has some of its own, they stand in its place.
+fn arguments(settings: &[Setting]) -> TokenStream {
+    if settings.iter().all(|setting| setting.part.is_none()) {
+        let arguments = settings.iter().map(argument);
+        return quote!(&[#(#arguments),*]);
+    }
+    let parts = settings.iter().map(|setting| match setting.part {
+        Some(part) => quote!(<#part as ::realo_operator::StageSettings>::ARGUMENTS),
+        None => {
+            let argument = argument(setting);
+            quote!(&[#argument])
+        }
+    });
+    quote! {{
+        const PARTS: &[&[::realo_operator::Argument]] = &[#(#parts),*];
+        &::realo_operator::Argument::joined::<{ ::realo_operator::Argument::count(PARTS) }>(PARTS)
+    }}
 }
 
 fn argument(setting: &Setting) -> TokenStream {
@@ -124,12 +165,36 @@ fn argument(setting: &Setting) -> TokenStream {
     }
 }
 
+/// A range as an expression; Rust has none for `0.0<..`, which leaves out its start.
+fn bounds(range: &TokenStream) -> TokenStream {
+    let tokens: Vec<TokenTree> = range.clone().into_iter().collect();
+    let is = |token: &TokenTree, letter: char| matches!(token, TokenTree::Punct(punct) if punct.as_char() == letter);
+    let Some(at) = tokens.iter().position(|token| is(token, '<')) else {
+        return range.clone();
+    };
+    let start: TokenStream = tokens[..at].iter().cloned().collect();
+    let is_dot = |token: &TokenTree| is(token, '.');
+    let end = tokens[at + 1..].iter().cloned().skip_while(is_dot);
+    let is_inclusive = end.clone().next().is_some_and(|token| is(&token, '='));
+    let end: TokenStream = end.skip_while(|token| is(token, '=')).collect();
+    let end = match (end.is_empty(), is_inclusive) {
+        (true, _) => quote!(::core::ops::Bound::Unbounded),
+        (false, true) => quote!(::core::ops::Bound::Included(#end)),
+        (false, false) => quote!(::core::ops::Bound::Excluded(#end)),
+    };
+    quote!((::core::ops::Bound::Excluded(#start), #end))
+}
+
 fn check(setting: &Setting) -> Option<TokenStream> {
-    let (range, words) = setting.range.as_ref()?;
     let name = setting.name;
+    if setting.part.is_some() {
+        return Some(quote!(::realo_operator::StageSettings::check(&self.#name)?;));
+    }
+    let (range, words) = setting.range.as_ref()?;
     let key = name.to_string();
+    let range = bounds(range);
     let test = quote! {
-        if !(#range).contains(found) {
+        if !::core::ops::RangeBounds::contains(&(#range), found) {
             return ::core::result::Result::Err(::realo_operator::config::ConfigError::range(#key, #words, found));
         }
     };
@@ -163,6 +228,10 @@ mod tests {
             (quote!(..=1.0), Some("up to 1")),
             (quote!(-7..=19), Some("-7 to 19")),
             (quote!(..1_000), Some("below 1000")),
+            (quote!(0.0 < ..=1e6), Some("above 0, up to 1000000")),
+            (quote!(0 < ..1), Some("above 0, below 1")),
+            (quote!(0.0 < ..), Some("above 0")),
+            (quote!(<..1), None),
             (quote!(..), None),
             (quote!(MOST), None),
             (quote!(0..MOST), None),
@@ -200,7 +269,11 @@ mod tests {
                 threshold: f64,
             }
         ));
-        assert!(error.unwrap_err().contains("expected `default`, `range` or `role`"));
+        assert!(
+            error
+                .unwrap_err()
+                .contains("expected `default`, `range`, `role` or `flatten`")
+        );
         let error = derived(quote!(
             enum Settings {
                 One,

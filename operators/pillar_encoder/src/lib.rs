@@ -7,39 +7,33 @@
 
 use std::path::PathBuf;
 
-use realo_bev::{Device, Engine, Maps};
+use realo_bev::{Computing, Engine, Maps};
 use realo_kernels::bev::BevView;
+use realo_methods::Pillarer;
 use realo_methods::detect::pillars::{Dropped, Points};
-use realo_methods::{Kernels, Pillarer};
 use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings, Steps};
 use realo_schemas::{Elements, FeatureMap, Header, Kind, PointCloud};
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`PillarEncoder`].
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// The model file; its weights lie beside it.
     #[setting(default = "../models/lite.toml", role = "model")]
     pub model: PathBuf,
-    /// Kernels: auto, portable, avx2, avx512, avx512bf16 or amx.
-    #[setting(default = realo_methods::AUTO.into(), role = "isa")]
-    pub isa: String,
-    /// Number type: auto (the model's), f32, bf16 or int8.
-    #[setting(default = realo_methods::AUTO.into(), role = "precision")]
-    pub precision: String,
-    /// Threads of the network; 0: one for each processor.
-    pub threads: usize,
-    /// Whether maps tell how sure the model's head is of each cell, which transmission-encoder can choose by.
+    /// How the network is computed.
+    #[setting(flatten)]
+    #[serde(flatten)]
+    pub computing: Computing,
+    /// Whether maps tell how sure the model's head is of each cell, by which `transmission-encoder` can choose.
     pub confidence: bool,
-    /// What computes the network: cpu, or cuda where the build has it.
-    #[setting(role = "device")]
-    pub device: Device,
-    /// What numbers of maps leave a GPU as: f32, f16, or int8 with a scale for each channel of each map.
+    /// What numbers of maps leave a GPU as: `f32`, `f16`, or `int8` with a scale for each channel of each map.
     pub copied: Elements,
 }
 
-/// The operator `pillar-encoder`.
+/// Makes BEV maps of sweeps: pillars, pillar net and backbone of a PointPillars model.
+#[derive(Describe)]
+#[stage(counters(EMPTY_SWEEPS, NAN_POINTS, OUT_OF_RANGE_POINTS, OVER_POINTS, OVER_PILLARS))]
 pub struct PillarEncoder {
     pillarer: Pillarer,
     engine: Engine,
@@ -82,33 +76,19 @@ pub enum Output {
     Features(Header, FeatureMap),
 }
 
-impl Describe for PillarEncoder {
-    type Settings = Settings;
-    type Input = Input;
-    type Output = Output;
-    const NAME: &'static str = "pillar-encoder";
-    const ABOUT: &'static str = "From sweeps to BEV maps: pillars, pillar net and backbone of a PointPillars model";
-    const COUNTERS: &'static [Counter] = &[EMPTY_SWEEPS, NAN_POINTS, OUT_OF_RANGE_POINTS, OVER_POINTS, OVER_PILLARS];
-}
-
 impl Operator for PillarEncoder {
-    fn new(settings: Settings) -> Result<Self, Error> {
-        let kernels = Kernels {
-            isa: &settings.isa,
-            precision: &settings.precision,
-            threads: settings.threads,
-        };
-        let loaded = realo_methods::load(&settings.model, kernels)?;
+    fn build(settings: Settings) -> Result<Self, Error> {
+        let loaded = settings.computing.load(&settings.model)?;
         loaded.model.check_frame(&settings.model)?;
         Ok(PillarEncoder {
             maps: Maps::of(&loaded),
             confidence: settings.confidence,
             pillarer: Pillarer::beside(&loaded.network, &loaded.model, &loaded.weights),
-            engine: Engine::new(loaded, settings.device, settings.copied)?,
+            engine: Engine::new(loaded, settings.computing.device, settings.copied)?,
         })
     }
 
-    fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, input: Input, out: &mut Outputs<Output>) -> Result<(), Error> {
         let Input::Clouds(header, cloud) = input;
         let (map, dropped) = self.encode(&cloud, out.steps())?;
         let agent = header.agent.clone();
@@ -253,7 +233,10 @@ mod tests {
         );
         assert!(encoder().on_message(PortId(1), message, &mut Outputs::at(0)).is_err());
         let error = PillarEncoder::new(Settings {
-            isa: "sse9".into(),
+            computing: Computing {
+                isa: "sse9".into(),
+                ..Computing::default()
+            },
             ..Settings::default()
         });
         assert!(error.is_err());

@@ -13,9 +13,8 @@ const FORGET: Nanos = 60_000_000_000;
 
 /// Settings of [`Projector`].
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
 pub struct Settings {
-    /// Who brings points to the ego's frame: receiver, or sender (with the ego's newest known state).
+    /// Who brings points to the ego's frame: `receiver`, or `sender` (with the ego's newest known state).
     #[setting(role = "project")]
     pub project: Project,
     /// Whose frame that is, where several agents tell their states; empty: that of the newest state.
@@ -57,7 +56,9 @@ impl Project {
     }
 }
 
-/// The operator `projector`.
+/// Brings sweeps to the ego's frame where they are sent, or leaves that to the receiver.
+#[derive(Describe)]
+#[stage(counters(NO_EGO_STATE, OF_ANOTHER))]
 pub struct Projector {
     project: Project,
     /// The only one whose states count; empty: everybody's do.
@@ -104,17 +105,8 @@ pub enum Output {
     Projected(Header, PointCloud),
 }
 
-impl Describe for Projector {
-    type Settings = Settings;
-    type Input = Input;
-    type Output = Output;
-    const NAME: &'static str = "projector";
-    const ABOUT: &'static str = "Brings sweeps to the ego's frame where they are sent, or leaves that to the receiver";
-    const COUNTERS: &'static [Counter] = &[NO_EGO_STATE, OF_ANOTHER];
-}
-
 impl Operator for Projector {
-    fn new(settings: Settings) -> Result<Self, Error> {
+    fn build(settings: Settings) -> Result<Self, Error> {
         Ok(Projector {
             project: settings.project,
             only: settings.ego.into(),
@@ -122,7 +114,7 @@ impl Operator for Projector {
         })
     }
 
-    fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, input: Input, out: &mut Outputs<Output>) -> Result<(), Error> {
         match input {
             Input::Clouds(header, cloud) => self.project(header, cloud, out),
             Input::State(header, state) => {
@@ -158,7 +150,7 @@ impl Operator for Projector {
         }
     }
 
-    fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
+    fn on_end(&mut self, out: &mut Outputs<Output>) -> Result<(), Error> {
         let left = std::mem::take(&mut self.ego).into_values();
         left.for_each(|known| known.leave(Fate::InFlight, out));
         Ok(())
@@ -167,7 +159,7 @@ impl Operator for Projector {
 
 impl Known {
     /// Is given up; `unused` is the fate of one that nothing was projected with.
-    fn leave(self, unused: Fate, out: &mut Outputs) {
+    fn leave(self, unused: Fate, out: &mut Outputs<Output>) {
         if !self.used {
             out.report(&self.header, unused);
         }
@@ -176,7 +168,7 @@ impl Known {
 
 impl Projector {
     /// Forgets the receivers that have heard nothing since, so that agents may come and go for days.
-    fn forget_before(&mut self, time: Nanos, out: &mut Outputs) {
+    fn forget_before(&mut self, time: Nanos, out: &mut Outputs<Output>) {
         let old = self.ego.extract_if(.., |_, known| known.header.ready < time);
         old.for_each(|(_, known)| known.leave(Fate::InFlight, out));
     }
@@ -188,7 +180,7 @@ impl Projector {
         self.ego.get_mut(&key)
     }
 
-    fn project(&mut self, header: Header, cloud: PointCloud, out: &mut Outputs) -> Result<(), Error> {
+    fn project(&mut self, header: Header, cloud: PointCloud, out: &mut Outputs<Output>) -> Result<(), Error> {
         if self.project == Project::Receiver {
             out.send(Output::Projected(header, cloud));
             return Ok(());

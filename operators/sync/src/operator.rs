@@ -51,7 +51,6 @@ const NOT_DESKEWED: Counter = Counter::loss(
 
 /// Settings of sync.
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// Own body as x min, x max, y min, y max in the body frame, m; [] for none.
     #[setting(default = [OwnBody::V2X_REAL.x, OwnBody::V2X_REAL.y].concat())]
@@ -81,7 +80,17 @@ pub enum SyncError {
     OwnBody(Vec<f32>),
 }
 
-/// Orders and stamps each agent's streams.
+/// Orders sweeps, pairs them with poses, removes the agent's own motion and body from them.
+#[derive(Describe)]
+#[stage(counters(
+    NAN_POINTS,
+    OWN_BODY_POINTS,
+    DUPLICATE,
+    OUT_OF_ORDER,
+    NO_POSE,
+    LATE_POSE,
+    NOT_DESKEWED
+))]
 pub struct Sync {
     settings: SweepRules,
     tracks: BTreeMap<Name, AgentTrack>,
@@ -115,26 +124,8 @@ pub enum Output {
     States(Header, AgentState),
 }
 
-impl Describe for Sync {
-    type Settings = Settings;
-    type Input = Input;
-    type Output = Output;
-    const NAME: &'static str = "sync";
-    const ABOUT: &'static str =
-        "Orders sweeps, pairs them with poses, removes the agent's own motion and body from them";
-    const COUNTERS: &'static [Counter] = &[
-        NAN_POINTS,
-        OWN_BODY_POINTS,
-        DUPLICATE,
-        OUT_OF_ORDER,
-        NO_POSE,
-        LATE_POSE,
-        NOT_DESKEWED,
-    ];
-}
-
 impl Sync {
-    fn pose(&mut self, header: &Header, state: AgentState, out: &mut Outputs) -> Result<(), SyncError> {
+    fn pose(&mut self, header: &Header, state: AgentState, out: &mut Outputs<Output>) -> Result<(), SyncError> {
         let t = &state.map_from_body.translation.vector;
         let q = state.map_from_body.rotation.quaternion();
         if !(t.iter().all(|v| v.is_finite()) && (q.norm() - 1.0).abs() < 1e-6) {
@@ -152,7 +143,7 @@ impl Sync {
         Ok(())
     }
 
-    fn cloud(&mut self, header: Header, cloud: PointCloud, out: &mut Outputs) -> Result<(), SyncError> {
+    fn cloud(&mut self, header: Header, cloud: PointCloud, out: &mut Outputs<Output>) -> Result<(), SyncError> {
         not_ahead(&header, out.now())?;
         let max_gap = self.settings.max_gap;
         let track = self
@@ -183,7 +174,7 @@ impl Sync {
 
 impl SweepRules {
     /// Sends an agent's sweeps that can go on, oldest first; none overtakes another.
-    fn release(self, track: &mut AgentTrack, out: &mut Outputs, at_end: bool) {
+    fn release(self, track: &mut AgentTrack, out: &mut Outputs<Output>, at_end: bool) {
         while let Some((came, header, cloud)) = track.waiting.front() {
             let waited = out.now().saturating_sub(*came);
             let gives_up = at_end || waited >= self.patience;
@@ -209,7 +200,7 @@ impl SweepRules {
         }
     }
 
-    fn send(self, header: Header, cloud: &PointCloud, pairing: Pairing, out: &mut Outputs) {
+    fn send(self, header: Header, cloud: &PointCloud, pairing: Pairing, out: &mut Outputs<Output>) {
         let Pairing { state, motion } = pairing;
         let agent = header.agent.clone();
         out.count_of(&NOT_DESKEWED, &agent, u64::from(self.deskew && motion.is_none()), 1);
@@ -234,7 +225,7 @@ impl SweepRules {
 }
 
 /// Counts sweeps that were given up: only what comes later says whether the log has no pose of them, or it was late.
-fn settle(agent: &Name, sweeps: Vec<Unposed>, by_truth: bool, out: &mut Outputs) {
+fn settle(agent: &Name, sweeps: Vec<Unposed>, by_truth: bool, out: &mut Outputs<Output>) {
     for sweep in sweeps {
         let late = u64::from(sweep.is_late);
         count_pose(agent, [1 - late, late], out);
@@ -250,7 +241,7 @@ fn settle(agent: &Name, sweeps: Vec<Unposed>, by_truth: bool, out: &mut Outputs)
 }
 
 /// Counts one sweep whose pose is missing, late or neither.
-fn count_pose(agent: &Name, [missing, late]: [u64; 2], out: &mut Outputs) {
+fn count_pose(agent: &Name, [missing, late]: [u64; 2], out: &mut Outputs<Output>) {
     out.count_of(&NO_POSE, agent, missing, 1);
     out.count_of(&LATE_POSE, agent, late, 1);
 }
@@ -273,7 +264,7 @@ fn span(cloud: &PointCloud) -> Option<[i32; 2]> {
 }
 
 impl Operator for Sync {
-    fn new(settings: Settings) -> Result<Self, Error> {
+    fn build(settings: Settings) -> Result<Self, Error> {
         let own_body = match settings.own_body[..] {
             [] => None,
             [x0, x1, y0, y1] if x0 <= x1 && y0 <= y1 => Some(OwnBody {
@@ -296,7 +287,7 @@ impl Operator for Sync {
         })
     }
 
-    fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, input: Input, out: &mut Outputs<Output>) -> Result<(), Error> {
         match input {
             Input::Poses(header, state) => self.pose(&header, state, out)?,
             Input::Clouds(header, cloud) => self.cloud(header, cloud, out)?,
@@ -304,14 +295,14 @@ impl Operator for Sync {
         Ok(())
     }
 
-    fn on_wake(&mut self, _now: Nanos, out: &mut Outputs) -> Result<(), Error> {
+    fn on_wake(&mut self, _now: Nanos, out: &mut Outputs<Output>) -> Result<(), Error> {
         self.tracks
             .values_mut()
             .for_each(|track| self.settings.release(track, out, false));
         Ok(())
     }
 
-    fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
+    fn on_end(&mut self, out: &mut Outputs<Output>) -> Result<(), Error> {
         for (agent, track) in &mut self.tracks {
             self.settings.release(track, out, true);
             settle(agent, track.unposed(), track.has_true_poses(), out);

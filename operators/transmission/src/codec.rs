@@ -1,9 +1,7 @@
 //! A message to bytes and back.
 
-use std::ops::RangeInclusive;
-
 use arrow::buffer::Buffer;
-use realo_operator::Steps;
+use realo_operator::{StageSettings, Steps};
 use realo_schemas::{Header, Kind, Message, Packet, Payload};
 
 use crate::bytes::Reader;
@@ -25,9 +23,6 @@ pub(crate) struct Columns {
     /// Beam of each point.
     pub ring: bool,
 }
-
-/// Levels of zstd, of which 0 stands for 3; those above take memory and seconds for little.
-const LEVELS: RangeInclusive<i32> = -7..=19;
 
 /// What was left out of a packet, or bounded.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
@@ -117,18 +112,15 @@ impl Encoder {
     /// An encoder.
     ///
     /// # Errors
-    /// A level that zstd does not have, a step that clouds cannot have, or a number of objects that CPMs cannot.
+    /// A setting outside its range, level 0 of zstd, or a step that clouds cannot have.
     pub fn new(config: &EncoderSettings) -> Result<Self, EncodeError> {
-        if let Some(level) = config.zstd
-            && (level == 0 || !LEVELS.contains(&level))
-        {
-            return Err(EncodeError::Level(level));
+        config.check()?;
+        // zstd takes it for level 3.
+        if config.zstd == Some(0) {
+            return Err(EncodeError::NoLevel);
         }
         if config.step_m != 0.0 && !points::STEPS.contains(&config.step_m) {
             return Err(EncodeError::Step(config.step_m));
-        }
-        if !(0.0..=1.0).contains(&config.min_confidence) {
-            return Err(EncodeError::Confidence(config.min_confidence));
         }
         let columns = Columns {
             time: config.time,
@@ -137,11 +129,10 @@ impl Encoder {
         let no_memory = |error: std::io::Error| EncodeError::Zstd(error.to_string());
         let points = points::Writer::new(columns, config.step_m, config.zstd);
         let features = features::Writer::new(config);
-        let cpm = cpm::Writer::new(config)?;
         Ok(Encoder {
             points: points.map_err(no_memory)?,
             features: features.map_err(no_memory)?,
-            cpm: (config.boxes == BoxesLayout::Cpm).then_some(cpm),
+            cpm: (config.boxes == BoxesLayout::Cpm).then(|| cpm::Writer::new(config)),
         })
     }
 

@@ -1,4 +1,4 @@
-use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings, StageSettings};
+use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings};
 use realo_schemas::{AgentState, Header, Kind, Message, Packet, Payload};
 use serde::{Deserialize, Serialize};
 
@@ -7,19 +7,20 @@ use crate::{DecodeError, Decoder};
 
 /// Settings of the decoder.
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// Max packet, and max feature map or quantised cloud in memory, bytes; a greater one is rejected.
     #[setting(default = 64 << 20, range = 1..)]
     pub max_bytes: usize,
     /// Where on Earth the origin of the map is, LAT,LON[,HEIGHT] in degrees and m (WGS84), for cpm.
     pub origin: Geodetic,
-    /// Take packets of this kind only, points, features, boxes or agent_state, for another decoder takes the others; null =
-    /// all.
+    /// Take packets of this kind only, `points`, `features`, `boxes` or `agent_state`, for another decoder takes the others;
+    /// null = all.
     pub kind: Option<Kind>,
 }
 
-/// Gets what an agent said out of its bytes.
+/// Gets points, features, boxes or states out of the bytes that crossed a link.
+#[derive(Describe)]
+#[stage(counters(UNUSABLE_OBJECTS, ASSUMED_OBJECTS, UNREAD_CONTAINERS, SEGMENTS))]
 pub struct TransmissionDecoder {
     max_bytes: usize,
     kind: Option<Kind>,
@@ -69,17 +70,8 @@ pub enum Output {
     States(Header, AgentState),
 }
 
-impl Describe for TransmissionDecoder {
-    type Settings = Settings;
-    type Input = Input;
-    type Output = Output;
-    const NAME: &'static str = "transmission-decoder";
-    const ABOUT: &'static str = "Gets points, features, boxes or states out of the bytes that crossed a link";
-    const COUNTERS: &'static [Counter] = &[UNUSABLE_OBJECTS, ASSUMED_OBJECTS, UNREAD_CONTAINERS, SEGMENTS];
-}
-
 impl TransmissionDecoder {
-    fn message(&mut self, header: Header, packet: &Packet, out: &mut Outputs) -> Result<Message, DecodeError> {
+    fn message(&mut self, header: Header, packet: &Packet, out: &mut Outputs<Output>) -> Result<Message, DecodeError> {
         if packet.bytes.len() > self.max_bytes {
             return Err(DecodeError::Oversized {
                 bytes: packet.bytes.len(),
@@ -101,8 +93,7 @@ impl TransmissionDecoder {
 }
 
 impl Operator for TransmissionDecoder {
-    fn new(settings: Settings) -> Result<Self, Error> {
-        settings.check()?;
+    fn build(settings: Settings) -> Result<Self, Error> {
         Ok(TransmissionDecoder {
             max_bytes: settings.max_bytes,
             kind: settings.kind,
@@ -110,7 +101,7 @@ impl Operator for TransmissionDecoder {
         })
     }
 
-    fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, input: Input, out: &mut Outputs<Output>) -> Result<(), Error> {
         let Input::Packets(header, packet) = input;
         if self.kind.is_some_and(|kind| kind != header.kind) {
             return Ok(());

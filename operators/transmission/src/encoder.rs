@@ -18,28 +18,29 @@ pub enum BoxesLayout {
 
 /// Settings of the encoder.
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
 pub struct Settings {
     /// Whether the time of each point crosses (4 bytes a point).
     pub time: bool,
     /// Whether the beam of each point crosses (2 bytes a point).
     pub ring: bool,
-    /// Step of the coordinates of points, 0.000001 to 1 m, so that they compress; 0 = exact, not compressed.
+    /// Step of the coordinates of points, at least 0.000001 m, so that they compress; 0 = exact, not compressed.
+    #[setting(range = 0.0..=1.0)]
     pub step_m: f64,
-    /// What numbers of feature maps cross as: f32, f16, or int8 with a scale for each channel of each map.
+    /// What numbers of feature maps cross as: `f32`, `f16`, or `int8` with a scale for each channel of each map.
     #[setting(default = Elements::Int8)]
     pub elements: Elements,
     /// Whether the bytes of a channel of a feature map lie together, so that they compress better.
     #[setting(default = true)]
     pub shuffle: bool,
-    /// Min confidence of a cell of a feature map that crosses, 0 to 1; 0 = any.
+    /// Min confidence of a cell of a feature map that crosses; 0 = any.
+    #[setting(range = 0.0..=1.0)]
     pub min_confidence: f32,
     /// Bytes that the packet of a feature map may take: its surest cells cross, as many as fit; null = all.
     pub budget_bytes: Option<usize>,
-    /// Level at which zstd compresses feature maps and quantised points, -7 (fastest) to 19; null = not at all.
-    #[setting(default = Some(1))]
+    /// Level at which zstd compresses feature maps and quantised points, -7 the fastest, not 0; null = not at all.
+    #[setting(default = Some(1), range = -7..=19)]
     pub zstd: Option<i32>,
-    /// What boxes cross as: plain, or cpm, an ETSI Collective Perception Message (TS 103 324 v2.1.1, UPER).
+    /// What boxes cross as: `plain`, or `cpm`, an ETSI Collective Perception Message (TS 103 324 v2.1.1, UPER).
     #[setting(default = BoxesLayout::Plain)]
     pub boxes: BoxesLayout,
     /// Where on Earth the origin of the map is, LAT,LON[,HEIGHT] in degrees and m (WGS84), for cpm.
@@ -47,12 +48,23 @@ pub struct Settings {
     /// Agents that are roadside units, by name, separated by commas; others are vehicles; for cpm.
     #[setting(role = "roadside")]
     pub roadside: String,
-    /// Most objects of a cpm, 1 to 255, the surest ones; 30 fit one frame of a radio.
-    #[setting(default = OBJECTS)]
+    /// Most objects of a cpm, the surest ones; 30 fit one frame of a radio.
+    #[setting(default = OBJECTS, range = 1..=255)]
     pub max_objects: usize,
 }
 
-/// Puts what an agent says into bytes.
+/// Puts points, features, boxes or states into the bytes that cross a link.
+#[derive(Describe)]
+#[stage(counters(
+    BYTES,
+    NAN_POINTS,
+    INVALID_BOXES,
+    BOUNDED_FEATURES,
+    LEFT_OUT_CELLS,
+    OUT_OF_RANGE_BOXES,
+    SURPLUS_BOXES,
+    UNTRACKED_BOXES
+))]
 pub struct TransmissionEncoder {
     encoder: Encoder,
 }
@@ -116,32 +128,14 @@ pub enum Output {
     StatePackets(Header, Packet),
 }
 
-impl Describe for TransmissionEncoder {
-    type Settings = Settings;
-    type Input = Input;
-    type Output = Output;
-    const NAME: &'static str = "transmission-encoder";
-    const ABOUT: &'static str = "Puts points, features, boxes or states into the bytes that cross a link";
-    const COUNTERS: &'static [Counter] = &[
-        BYTES,
-        NAN_POINTS,
-        INVALID_BOXES,
-        BOUNDED_FEATURES,
-        LEFT_OUT_CELLS,
-        OUT_OF_RANGE_BOXES,
-        SURPLUS_BOXES,
-        UNTRACKED_BOXES,
-    ];
-}
-
 impl Operator for TransmissionEncoder {
-    fn new(settings: Settings) -> Result<Self, Error> {
+    fn build(settings: Settings) -> Result<Self, Error> {
         Ok(TransmissionEncoder {
             encoder: Encoder::new(&settings)?,
         })
     }
 
-    fn on_input(&mut self, input: Input, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, input: Input, out: &mut Outputs<Output>) -> Result<(), Error> {
         let Input::Messages(message) = input;
         let (packet, dropped) = self.encoder.encode(&message, out.steps())?;
         let agent = message.header.agent.clone();

@@ -1,5 +1,6 @@
 //! Why something cannot cross.
 
+use realo_operator::config::ConfigError;
 use realo_schemas::{Name, Nanos};
 
 /// Why a message cannot be put into bytes.
@@ -42,9 +43,6 @@ pub enum EncodeError {
         /// Bytes that it may take.
         budget: usize,
     },
-    /// A confidence that no cell can have.
-    #[error("argument `min_confidence`: expected 0 to 1, found {0}")]
-    Confidence(f32),
     /// A channel that 255 finite steps do not span.
     #[error("feature map: channel {channel} goes from {min} to {most}, too far for int8: send it with `elements=f32`")]
     Range {
@@ -58,9 +56,12 @@ pub enum EncodeError {
     /// A step that clouds cannot have.
     #[error("argument `step_m`: expected 0 or a step from 0.000001 to 1 m, found {0}")]
     Step(f64),
+    /// A setting outside its range.
+    #[error(transparent)]
+    Settings(#[from] ConfigError),
     /// A level that zstd does not have.
-    #[error("argument `zstd`: expected null or a level from -7 to 19 that is not 0, found {0}")]
-    Level(i32),
+    #[error("argument `zstd`: expected null or a level from -7 to 19 that is not 0, found 0")]
+    NoLevel,
     /// What zstd could not compress.
     #[error("zstd: {0}")]
     Zstd(String),
@@ -97,9 +98,6 @@ pub enum EncodeError {
     /// A stamp that a CPM cannot tell.
     #[error("stamp {0} ns since 1970: a CPM tells times from 2004 to 2143: send boxes of this log with `boxes=plain`")]
     Stamp(Nanos),
-    /// A number of objects that no CPM has.
-    #[error("argument `max_objects`: expected 1 to 255, found {0}")]
-    Objects(usize),
     /// What the encoding rules refused.
     #[error("CPM: {0}")]
     Uper(String),

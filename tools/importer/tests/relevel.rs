@@ -8,7 +8,7 @@ use realo_importer::{Level, relevel};
 use realo_logs::{
     AgentInfo, AgentKind, ChunkGroup, Log, LogInfo, LogWriter, McapFile, McapWriter, Schema, Stream, describe,
 };
-use realo_operator::Source;
+use realo_operator::{Source, StageOutputs};
 use realo_player::{Player, PoseSource, Settings};
 use realo_schemas::geometry::{View, transform_box, yaw_of};
 use realo_schemas::{AgentState, Box3, Boxes, Message, Nanos, Payload, PointCloud, PoseStatus};
@@ -238,7 +238,8 @@ type Played = Vec<(Nanos, usize, Message)>;
 fn play(config: Settings) -> Played {
     let mut player = Player::new(config).unwrap();
     let mut played = Vec::new();
-    while let Some((time, port, message)) = player.next().unwrap() {
+    while let Some((time, output)) = player.next().unwrap() {
+        let (port, message) = output.into_message();
         played.push((time, port.0, message));
     }
     played

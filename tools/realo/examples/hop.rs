@@ -14,6 +14,8 @@ const POINTS: usize = 195_000;
 const HOPS: usize = 200;
 
 /// Passes clouds on.
+#[derive(Describe)]
+#[stage(settings = Nothing)]
 struct Pass;
 
 /// Nothing is to be set.
@@ -34,20 +36,12 @@ enum Output {
     Clouds(Header, PointCloud),
 }
 
-impl Describe for Pass {
-    type Settings = Nothing;
-    type Input = Input;
-    type Output = Output;
-    const NAME: &'static str = "pass";
-    const ABOUT: &'static str = "passes clouds on";
-}
-
 impl Operator for Pass {
-    fn new(_: Nothing) -> Result<Self, Error> {
+    fn build(_: Nothing) -> Result<Self, Error> {
         Ok(Pass)
     }
 
-    fn on_input(&mut self, Input::Clouds(header, cloud): Input, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, Input::Clouds(header, cloud): Input, out: &mut Outputs<Output>) -> Result<(), Error> {
         out.send(Output::Clouds(header, cloud));
         Ok(())
     }

@@ -38,8 +38,7 @@ fn section(text: &mut String, entry: &Registration) {
         Role::Sink => "Sink",
         Role::Gateway => "Gateway",
     };
-    let about = sentence(entry.about);
-    let _ = write!(text, "\n## {}\n\n{kind}. {about}\n", entry.name);
+    let _ = write!(text, "\n## {}\n\n{kind}. {}.\n", entry.name, entry.about);
     if entry.inputs.len() + entry.outputs.len() > 0 {
         *text += "\n| port | types | content |\n|---|---|---|\n";
     }
@@ -80,7 +79,7 @@ fn setting(text: &mut String, argument: &Argument, defaults: &Map<String, Value>
     let default = match defaults.get(argument.name) {
         Some(Value::String(empty)) if empty.is_empty() => "empty".into(),
         Some(Value::String(word)) => format!("`{word}`"),
-        Some(value) => format!("`{value}`"),
+        Some(value) => format!("`{}`", shortest(value)),
         None => String::new(),
     };
     let role = argument
@@ -116,14 +115,19 @@ fn properties(port: &Port, is_input: bool) -> String {
     }
 }
 
-/// A text as a whole sentence.
-fn sentence(text: &str) -> String {
-    let mut letters = text.chars();
-    let first = letters
-        .next()
-        .map(|first| first.to_uppercase().to_string())
-        .unwrap_or_default();
-    format!("{first}{}.", letters.as_str())
+/// A default as it may be written; numbers of 32 bits without the digits that 64 have.
+fn shortest(value: &Value) -> String {
+    match value {
+        Value::Array(all) => format!("[{}]", all.iter().map(shortest).collect::<Vec<_>>().join(",")),
+        Value::Number(number) if number.is_f64() => {
+            let wide = number.as_f64().unwrap_or_default();
+            match wide as f32 {
+                short if f64::from(short) == wide => format!("{short:?}"),
+                _ => number.to_string(),
+            }
+        }
+        _ => value.to_string(),
+    }
 }
 
 /// A text in a cell of a table.
@@ -148,5 +152,30 @@ mod tests {
             assert!(page.contains(row), "{row}");
         }
         assert_eq!(cell("a|b"), "a\\|b");
+        assert_eq!(
+            shortest(&serde_json::json!([1.1f32, 0.1f64, 400.0, 3, null])),
+            "[1.1,0.1,400.0,3,null]"
+        );
+    }
+
+    #[test]
+    fn what_a_stage_is_begins_with_a_capital() {
+        for Registration { name, about, .. } in registry().0 {
+            assert!(about.starts_with(char::is_uppercase), "{name}: {about}");
+        }
+    }
+
+    #[test]
+    fn the_page_has_every_counter() {
+        let page = page();
+        let sections: Vec<&str> = page.split("\n## ").skip(1).collect();
+        assert_eq!(sections.len(), registry().0.len());
+        for (entry, section) in registry().0.iter().zip(sections) {
+            assert!(section.starts_with(entry.name), "{}: {section}", entry.name);
+            for counter in entry.counters {
+                let row = format!("\n| `{}` | ", counter.name);
+                assert!(section.contains(&row), "{}: {row}", entry.name);
+            }
+        }
     }
 }

@@ -4,9 +4,9 @@ use std::path::Path;
 
 use eyre::{Result, eyre};
 use realo_operator::{Describe, Source};
-use realo_player::{Player, Settings};
+use realo_player::{Output, Player, Settings};
 use realo_results::NodeSummary;
-use realo_schemas::{GroundTruth, Header, Kind};
+use realo_schemas::{GroundTruth, Header};
 
 /// Plays a log without its points.
 pub struct TruthReader(Player);
@@ -32,9 +32,9 @@ impl TruthReader {
     /// # Errors
     /// Messages that cannot be read.
     pub fn next(&mut self) -> Result<Option<(Header, GroundTruth)>> {
-        while let Some((_, _, message)) = Source::next(&mut self.0).map_err(|error| eyre!(error))? {
-            if message.header.kind == Kind::Truth {
-                return Ok(Some(message.into_parts()?));
+        while let Some((_, output)) = Source::next(&mut self.0).map_err(|error| eyre!(error))? {
+            if let Output::Truth(header, truth) = output {
+                return Ok(Some((header, truth)));
             }
         }
         Ok(None)

@@ -72,7 +72,7 @@ impl<const FLAW: usize> Describe for Toy<FLAW> {
 }
 
 impl<const FLAW: usize> Toy<FLAW> {
-    fn fuse(&mut self, selection: Message, out: &mut Outputs) -> Result<(), Error> {
+    fn fuse(&mut self, selection: Message, out: &mut Outputs<Output>) -> Result<(), Error> {
         let (_, Selection { query, mut entries }) = selection.into_parts()?;
         let ego = self.ego.take().ok_or("no message of the ego")?;
         if FLAW != FUSES_ANY_QUERY && ego.header.seq != query {
@@ -124,11 +124,11 @@ impl<const FLAW: usize> Toy<FLAW> {
 }
 
 impl<const FLAW: usize> Operator for Toy<FLAW> {
-    fn new(_: Nothing) -> Result<Self, Error> {
+    fn build(_: Nothing) -> Result<Self, Error> {
         Ok(Toy { ego: None, last: None })
     }
 
-    fn on_input(&mut self, Input(port, message): Input<FLAW>, out: &mut Outputs) -> Result<(), Error> {
+    fn on_input(&mut self, Input(port, message): Input<FLAW>, out: &mut Outputs<Output>) -> Result<(), Error> {
         out.wake_at(out.now() + 5);
         match port {
             PortId(0) => self.ego = Some(message),
@@ -137,7 +137,7 @@ impl<const FLAW: usize> Operator for Toy<FLAW> {
         Ok(())
     }
 
-    fn on_wake(&mut self, now: Nanos, out: &mut Outputs) -> Result<(), Error> {
+    fn on_wake(&mut self, now: Nanos, out: &mut Outputs<Output>) -> Result<(), Error> {
         match FLAW {
             WAKES_FOR_EVER => out.wake_at(now + 1),
             FAILS_WHEN_WOKEN => return Err("tired".into()),
@@ -146,7 +146,7 @@ impl<const FLAW: usize> Operator for Toy<FLAW> {
         Ok(())
     }
 
-    fn on_end(&mut self, out: &mut Outputs) -> Result<(), Error> {
+    fn on_end(&mut self, out: &mut Outputs<Output>) -> Result<(), Error> {
         if FLAW == ANSWERS_AGAIN_AT_THE_END {
             out.send(Output::Fused(self.last.take().ok_or("nothing to answer")?));
         }

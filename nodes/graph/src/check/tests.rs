@@ -58,46 +58,46 @@ macro_rules! stage {
     };
     (operator, $type:ident) => {
         impl Operator for $type {
-            fn new(_: Settings) -> Result<Self, Error> {
+            fn build(_: Settings) -> Result<Self, Error> {
                 Ok($type)
             }
-            fn on_input(&mut self, _: Self::Input, _: &mut Outputs) -> Result<(), Error> {
+            fn on_input(&mut self, _: Self::Input, _: &mut Outputs<Self::Output>) -> Result<(), Error> {
                 Ok(())
             }
         }
     };
     (source, $type:ident) => {
         impl Source for $type {
-            fn new(_: Settings) -> Result<Self, Error> {
+            fn build(_: Settings) -> Result<Self, Error> {
                 Ok($type)
             }
-            fn next(&mut self) -> Result<Option<(Nanos, PortId, Message)>, Error> {
+            fn next(&mut self) -> Result<Option<(Nanos, Self::Output)>, Error> {
                 Ok(None)
             }
         }
     };
     (gateway, $type:ident) => {
         impl Gateway for $type {
-            fn new(_: Settings) -> Result<Self, Error> {
+            fn build(_: Settings) -> Result<Self, Error> {
                 Ok($type)
             }
             fn open(&mut self, _: Waker) -> Result<(), Error> {
                 Ok(())
             }
-            fn on_input(&mut self, _: Self::Input, _: &mut Outputs) -> Result<(), Error> {
+            fn on_input(&mut self, _: Self::Input, _: &mut Outputs<Self::Output>) -> Result<(), Error> {
                 Ok(())
             }
-            fn on_wake(&mut self, _: Nanos, _: &mut Outputs) -> Result<(), Error> {
+            fn on_wake(&mut self, _: Nanos, _: &mut Outputs<Self::Output>) -> Result<(), Error> {
                 Ok(())
             }
-            fn on_end(&mut self, _: &mut Outputs) -> Result<(), Error> {
+            fn on_end(&mut self, _: &mut Outputs<Self::Output>) -> Result<(), Error> {
                 Ok(())
             }
         }
     };
     (sink, $type:ident) => {
         impl Sink for $type {
-            fn new(_: Settings) -> Result<Self, Error> {
+            fn build(_: Settings) -> Result<Self, Error> {
                 Ok($type)
             }
             fn accept(&mut self, _: Self::Input) -> Result<(), Error> {

@@ -3,8 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
-use realo_operator::config::nearest_name;
 use realo_documents::shown;
+use realo_operator::config::nearest_name;
 
 use super::ports::no_output;
 use super::{Expansion, Outlets, as_dora, is_detection, stages};

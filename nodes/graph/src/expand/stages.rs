@@ -2,8 +2,8 @@
 
 use std::collections::BTreeSet;
 
-use realo_operator::config::nearest_name;
 use realo_documents::shown;
+use realo_operator::config::nearest_name;
 
 use super::Outlets;
 use crate::read::Node;

@@ -17,9 +17,9 @@ impl Feed {
         };
         let times = [entry.stamp(), self.release(entry)];
         let from = (self.rank(entry), times);
-        let (port, mut message) = self.message(from, sent.seq, sent.kind, [Output::PACKETS; 2], packet);
-        message.header.frame = sent.frame.into();
-        self.queue((from.0, times[1]), port, message);
+        let mut output = self.output(from, sent.seq, sent.kind, [Output::Packets; 2], packet);
+        output.header_mut().frame = sent.frame.into();
+        self.queue((from.0, times[1]), output);
         Ok(())
     }
 
@@ -104,8 +104,7 @@ impl Feed {
         };
         let release = release.max(sweep);
         let from = (self.rank(&entry), [entry.stamp(), release]);
-        let ports = [Output::EGO_RECORDED, Output::RECORDED];
-        let (port, message) = self.message(from, seq, Kind::Boxes, ports, boxes);
-        self.queue((from.0, release), port, message);
+        let output = self.output(from, seq, Kind::Boxes, [Output::EgoRecorded, Output::Recorded], boxes);
+        self.queue((from.0, release), output);
     }
 }

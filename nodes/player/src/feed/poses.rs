@@ -44,8 +44,8 @@ impl Feed {
         if let Ok(state) = pose {
             self.count_jump(entry, &state);
             let state = self.level_pose(entry, state);
-            let ports = [Output::EGO_POSES, Output::POSES];
-            self.send(entry, entry.seq(), Kind::AgentState, ports, state);
+            let sides = [Output::EgoPoses, Output::Poses];
+            self.send(entry, entry.seq(), Kind::AgentState, sides, state);
         }
     }
 

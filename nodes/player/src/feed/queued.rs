@@ -1,12 +1,12 @@
 //! What waits to be played, in the order of release.
 
-use realo_operator::PortId;
-use realo_schemas::{Message, Nanos};
+use realo_schemas::Nanos;
+
+use crate::Output;
 
 pub(super) struct Queued {
     pub key: (Nanos, usize, usize, u64),
-    pub port: PortId,
-    pub message: Message,
+    pub output: Output,
 }
 
 impl PartialEq for Queued {

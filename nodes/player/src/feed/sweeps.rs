@@ -65,9 +65,9 @@ impl Feed {
                     true => level_state(state),
                     false => state,
                 };
-                let ports = [Output::EGO_POSES, Output::POSES];
-                let (port, message) = self.message((*rank, [time; 2]), seq, Kind::AgentState, ports, state);
-                self.queue((*rank, time), port, message);
+                let sides = [Output::EgoPoses, Output::Poses];
+                let output = self.output((*rank, [time; 2]), seq, Kind::AgentState, sides, state);
+                self.queue((*rank, time), output);
                 self.script.counters.add(&POSES_HELD, &agent, 1, 0);
             }
         }
@@ -116,12 +116,12 @@ impl Feed {
         }
         if let Some(cloud) = cloud {
             let cloud = self.level_cloud(entry, cloud);
-            self.send(entry, seq, Kind::Points, [Output::EGO_CLOUDS, Output::CLOUDS], cloud);
+            self.send(entry, seq, Kind::Points, [Output::EgoClouds, Output::Clouds], cloud);
         }
         if entry.agent == self.agents[0] {
             let (truth, lost): (GroundTruth, _) = self.truth.at(entry.stamp())?;
             self.count_invalid(&entry.agent, &truth);
-            self.send(entry, seq, Kind::Truth, [Output::TRUTH; 2], truth);
+            self.send(entry, seq, Kind::Truth, [Output::Truth; 2], truth);
             self.count_lost_truth(lost);
             self.count_found_of_truth();
         }

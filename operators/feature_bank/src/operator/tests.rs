@@ -24,7 +24,7 @@ fn bank(offline: bool) -> FeatureBank {
 type Answered = (Header, u64, Vec<String>);
 
 /// Selections, and what was said of messages.
-fn outcome(out: &mut Outputs) -> (Vec<Answered>, Vec<(u64, Fate)>) {
+fn outcome(out: &mut Outputs<Output>) -> (Vec<Answered>, Vec<(u64, Fate)>) {
     let mut selections = Vec::new();
     for (port, message) in out.take_sent() {
         match message.payload {

@@ -65,7 +65,7 @@ impl Watched {
         done
     }
 
-    fn watch(&mut self, own: Outputs, out: &mut Outputs) {
+    fn watch(&mut self, own: Outputs<Output>, out: &mut Outputs) {
         let mut made = own.into_made();
         made.traffic.drain(..).for_each(|channel| self.books.carried(channel));
         self.lost += made.fates.iter().filter(|fated| fated.fate == Fate::Lost).count() as u64;

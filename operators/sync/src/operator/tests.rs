@@ -52,7 +52,7 @@ fn sync(config: Settings) -> Sync {
     Sync::new(config).unwrap()
 }
 
-fn run(sync: &mut Sync, inputs: impl IntoIterator<Item = Message>) -> (Vec<Message>, Outputs) {
+fn run(sync: &mut Sync, inputs: impl IntoIterator<Item = Message>) -> (Vec<Message>, Outputs<Output>) {
     let mut all = Vec::new();
     let mut last = Outputs::at(0);
     for message in inputs {

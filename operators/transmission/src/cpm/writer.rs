@@ -46,16 +46,13 @@ pub(crate) struct Writer {
 }
 
 impl Writer {
-    pub fn new(config: &EncoderSettings) -> Result<Self, EncodeError> {
-        if !(1..=OBJECTS).contains(&config.max_objects) {
-            return Err(EncodeError::Objects(config.max_objects));
-        }
+    pub fn new(config: &EncoderSettings) -> Self {
         let names = config.roadside.split(',').map(str::trim);
-        Ok(Writer {
+        Writer {
             origin: config.origin,
             roadside: names.filter(|name| !name.is_empty()).map(Name::from).collect(),
             max_objects: config.max_objects,
-        })
+        }
     }
 
     /// The boxes of an agent as one CPM, and what was left out of it.

@@ -256,6 +256,7 @@ fn the_operators_send_and_take_cpms() {
     let (_, packet) = out.take_sent().remove(0);
     let config = realo_operator::config::parse(&arguments(&["origin=48,11,500"])).unwrap();
     let mut decoder = TransmissionDecoder::new(config).unwrap();
+    let mut out = Outputs::at(STAMP);
     decoder.on_message(PortId(0), packet, &mut out).unwrap();
     let (_, found) = out.take_sent().remove(0);
     let pose = sender().pose.unwrap().map_from_frame;

@@ -1,0 +1,42 @@
+use std::path::PathBuf;
+
+use realo_schemas::{Header, Name};
+
+/// Why results are not taken.
+#[derive(Debug, thiserror::Error)]
+pub enum ResultsError {
+    /// Nowhere to write.
+    #[error("argument `out`: expected a folder, found nothing")]
+    NoFolder,
+    /// The run's settings cannot be read.
+    #[error("argument `run_settings`: {}: {error}", .file.display())]
+    RunFile {
+        /// Their file.
+        file: PathBuf,
+        /// What the system says.
+        #[source]
+        error: std::io::Error,
+    },
+    /// The run's settings are something else.
+    #[error("argument `run_settings`: {}: not what a run tells of itself: {error}", .file.display())]
+    RunSettings {
+        /// Their file.
+        file: PathBuf,
+        /// What does not fit.
+        #[source]
+        error: serde_json::Error,
+    },
+    /// A report of something else.
+    #[error("expected a report of topic `{expected}`, found `{found}` ({header})")]
+    Topic {
+        /// What comes on the port.
+        expected: &'static str,
+        /// What came.
+        found: Name,
+        /// With which header.
+        header: Box<Header>,
+    },
+    /// Two evaluators.
+    #[error("a second report of topic `evaluation`; a graph has one evaluator")]
+    SecondEvaluation,
+}
