@@ -243,7 +243,10 @@ fn stages(seed: u64, world: &World, folder: &Path, results: bool) -> Result<Stag
         // As in `dataflows/modules/v2x.yml` and `points.yml`.
         add("ego-sender", &ENCODER, vec![], &[("messages", "log", "ego_states")])?;
         add("state-sender", &ENCODER, vec![], &[("messages", "log", "states")])?;
-        let packets = [("ego", "ego-sender", "packets"), ("others", "state-sender", "packets")];
+        let packets = [
+            ("ego", "ego-sender", "state_packets"),
+            ("others", "state-sender", "state_packets"),
+        ];
         add("state-link", &LINK, link.clone(), &[&packets[..], &states].concat())?;
         add(
             "state-receiver",

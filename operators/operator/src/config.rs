@@ -232,7 +232,11 @@ mod tests {
             ("window_ms=0", "argument `window_ms`: expected at least 1, found 0"),
             ("threads=0", "argument `threads`: expected at least 1, found 0"),
             ("rate=0", "argument `rate`: expected above 0, up to 8, found 0"),
-            ("rate=.inf", "argument `rate`: expected above 0, up to 8, found inf"),
+            ("rate=9", "argument `rate`: expected above 0, up to 8, found 9"),
+            (
+                "rate=.inf",
+                "argument `rate`: `.inf` does not fit: expected a finite number",
+            ),
         ];
         for (arg, expected) in cases {
             assert_eq!(read(&[arg]).unwrap_err().to_string(), expected);

@@ -512,9 +512,6 @@ fn levels_that_zstd_does_not_have_are_refused() {
             .err()
             .unwrap()
             .to_string();
-        assert!(
-            error.contains("`zstd`: expected null or a level from -7 to 19"),
-            "{error}"
-        );
+        assert!(error.contains("`zstd`: expected") && error.contains("-7 to 19"), "{error}");
     }
 }
