@@ -94,6 +94,10 @@ pub struct RunResult {
 pub struct Settings {
     /// Name of the graph.
     pub graph: String,
+    /// A hash of the graph as it was run: stages, wires and arguments, but for what other settings say and where files lie;
+    /// empty where nobody prepared the run.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub graph_hash: String,
     /// `realtime`, `virtual` or `offline`.
     pub mode: String,
     /// Who collaborates: `v2v`, `v2i`, `i2i`, or empty.

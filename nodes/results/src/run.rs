@@ -10,6 +10,9 @@ use crate::{AgeTable, Ages, NodeSummary, RunResult, Settings, Spread, Timing, VE
 /// Names `evaluation.json`.
 pub const SAMPLES: &str = "realo/evaluation";
 
+/// The stages of a graph as it was run: by their ids, what each runs, its arguments and its wires, by name.
+pub type GraphStages = BTreeMap<String, BTreeMap<String, String>>;
+
 /// What results are made from, so that runs can be pooled exactly: `evaluation.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Samples {
@@ -22,6 +25,12 @@ pub struct Samples {
     /// Hashes of what the logs hold, by their names, where they are known.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub logs: BTreeMap<String, String>,
+    /// The graph whose hash is in `result.json`.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub graph: GraphStages,
+    /// Names of the settings that whoever started the run chose: `model`, `isa`, `seed`.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub given: Vec<String>,
     /// Frames with what was detected and what is there; `None` if nothing was evaluated.
     pub evaluation: Option<Evaluation>,
 }
@@ -33,6 +42,8 @@ impl Default for Samples {
             version: VERSION,
             ages_ns: BTreeMap::new(),
             logs: BTreeMap::new(),
+            graph: GraphStages::new(),
+            given: Vec::new(),
             evaluation: None,
         }
     }

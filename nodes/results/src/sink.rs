@@ -11,8 +11,8 @@ use serde::{Deserialize, Serialize};
 use crate::progress::Progress;
 use crate::timing::Pace;
 use crate::{
-    Cooperation, EdgeBooks, Ledger, NodeSummary, ResultsError, Run, RunResult, Samples, Timing, TimingSamples,
-    add_name, claim, link_books, write_run_and_courses,
+    Cooperation, EdgeBooks, GraphStages, Ledger, NodeSummary, ResultsError, Run, RunResult, Samples, Timing,
+    TimingSamples, add_name, claim, link_books, write_run_and_courses,
 };
 
 /// Settings of [`Results`].
@@ -37,6 +37,10 @@ pub struct RunSettings {
     pub log_hash: String,
     /// What was run.
     pub settings: crate::Settings,
+    /// The graph, as [`Samples::graph`] has it.
+    pub graph: GraphStages,
+    /// What was chosen, as [`Samples::given`] has it.
+    pub given: Vec<String>,
     /// A hash of all that decides the run, by which whoever prepares it again knows it; no result has it.
     pub fingerprint: String,
 }
@@ -123,10 +127,16 @@ impl Sink for Results {
             log,
             log_hash,
             settings: run,
+            graph,
+            given,
             ..
         } = settings.run_settings()?;
         let (log, log_path) = name_and_path(log);
-        let mut samples = Samples::default();
+        let mut samples = Samples {
+            graph,
+            given,
+            ..Samples::default()
+        };
         if !log_hash.is_empty() {
             samples.logs.insert(log.clone(), log_hash);
         }

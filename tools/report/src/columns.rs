@@ -196,7 +196,7 @@ fn traffic(columns: &mut Columns) {
     });
 }
 
-const SETTINGS: [Setting; 14] = [
+const SETTINGS: [Setting; 15] = [
     ("graph", |settings| &settings.graph),
     ("mode", |settings| &settings.mode),
     ("coop", |settings| &settings.coop),
@@ -211,6 +211,7 @@ const SETTINGS: [Setting; 14] = [
     settings::SET,
     settings::PROGRAMS,
     settings::RATE,
+    settings::GRAPH_HASH,
 ];
 
 /// The columns for a program: all settings, then all numbers of the main columns.

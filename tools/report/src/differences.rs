@@ -3,6 +3,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use realo_results::{Run, RunResult};
 use realo_scoring::{Evaluation, Frame, Protocol, Scene};
 
+use crate::graphs::of_graphs;
 use crate::settings::{self, Setting};
 
 /// So many names are listed; what there is beside is counted.
@@ -19,7 +20,7 @@ pub fn differences(runs: &[(&str, &Run)]) -> Vec<String> {
     found
 }
 
-/// What makes numbers hard to compare: other logs, egos, agents, another protocol or truth.
+/// What makes numbers hard to compare: other logs, egos, agents, another graph of the name, protocol or truth.
 pub fn of_data(runs: &[(&str, &Run)]) -> Vec<String> {
     let lists: [(&str, Names); 3] = [
         ("logs", |result| &result.logs),
@@ -30,6 +31,7 @@ pub fn of_data(runs: &[(&str, &Run)]) -> Vec<String> {
         .iter()
         .filter_map(|(what, get)| of_names(what, runs, get))
         .collect();
+    found.extend(of_graphs(runs));
     found.extend(of_contents(runs));
     found.extend(of_protocols(runs));
     found.extend(of_truth(runs));
@@ -65,7 +67,7 @@ fn all_settings(runs: &[(&str, &Run)]) -> Vec<String> {
     in_words(runs, with_changes(runs, named))
 }
 
-/// The settings that differ beside those that each graph has once.
+/// The settings that differ beside those that each graph has once and nobody chose.
 pub fn of_settings(runs: &[(&str, &Run)]) -> Vec<String> {
     in_words(runs, values_of_settings(runs))
 }
@@ -79,7 +81,10 @@ pub fn values_of_settings(runs: &[(&str, &Run)]) -> Vec<Differing> {
             *known.entry(&settings.graph).or_insert(get(settings)) == get(settings)
         })
     };
-    let of_strategy = OF_STRATEGY.iter().filter(|setting| !by_graph(setting));
+    let is_given = |((name, _), _): &&Named| runs.iter().any(|(_, run)| settings::is_given(run, name));
+    let of_strategy = OF_STRATEGY
+        .iter()
+        .filter(|setting| is_given(setting) || !by_graph(setting));
     with_changes(runs, SETTINGS.iter().chain(of_strategy))
 }
 
@@ -168,7 +173,7 @@ pub fn listed(names: &[&str]) -> String {
 }
 
 /// `a in one, two; b in three`: the runs of each value, in order of appearance.
-fn by_value(values: &[(&str, String)]) -> String {
+pub fn by_value(values: &[(&str, String)]) -> String {
     let mut groups: Vec<(&String, Vec<&str>)> = Vec::new();
     for (name, value) in values {
         match groups.iter_mut().find(|(known, _)| *known == value) {

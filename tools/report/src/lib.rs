@@ -10,6 +10,7 @@ mod columns;
 mod differences;
 mod foot;
 mod formats;
+mod graphs;
 mod list;
 mod pool;
 mod sections;

@@ -79,8 +79,9 @@ pub fn pool(runs: &[Run]) -> Result<Run, PoolError> {
 }
 
 fn same(one: &Settings, other: &Settings) -> Result<(), PoolError> {
-    let settings: [Setting; 11] = [
+    let settings: [Setting; 12] = [
         ("graph", |s| &s.graph),
+        settings::GRAPH_HASH,
         ("mode", |s| &s.mode),
         ("coop", |s| &s.coop),
         settings::LINK,
@@ -111,6 +112,10 @@ fn pool_samples(runs: &[&Run]) -> Result<Samples, PoolError> {
     let mut samples = Samples::default();
     for (kind, ages) in runs.iter().flat_map(|run| &run.samples.ages_ns) {
         samples.ages_ns.entry(*kind).or_default().merge(ages);
+    }
+    if let Some(first) = runs.first() {
+        samples.graph.clone_from(&first.samples.graph);
+        samples.given.clone_from(&first.samples.given);
     }
     for (log, hash) in runs.iter().flat_map(|run| &run.samples.logs) {
         samples.logs.insert(log.clone(), hash.clone());

@@ -14,7 +14,7 @@ use realo_scoring::Table;
 use crate::cells::{count, spread};
 use crate::columns::OFFLINE;
 use crate::foot::V2X_REAL;
-use crate::settings::{ISA, MODEL, PRECOMPUTED, PROGRAMS, PROJECT, RATE, SEED, SET, Setting};
+use crate::settings::{ISA, MODEL, PRECOMPUTED, PROGRAMS, PROJECT, RATE, SEED, SET, Setting, is_given};
 use objects::{detections, recall};
 use scores::{accuracy, in_the_order_of_v2x_real, intervals, mean_accuracy, seen};
 use times::{ages, latency, steps};
@@ -180,9 +180,9 @@ fn names<'a>(names: impl Iterator<Item = &'a String>) -> Vec<String> {
 }
 
 /// Settings that are shown if a run has them.
-const RARE: [Setting; 8] = [PROJECT, PRECOMPUTED, SET, PROGRAMS, RATE, SEED, MODEL, ISA];
-/// So many of them are main ones.
-const MAIN: usize = 5;
+const RARE: [Setting; 5] = [PROJECT, PRECOMPUTED, SET, PROGRAMS, RATE];
+/// Settings that nearly every run has; among the main rows only if they differ, or if somebody chose them.
+const USUAL: [Setting; 3] = [SEED, MODEL, ISA];
 
 fn settings(rows: &mut Rows, full: bool) {
     let text = |text: &String| (!text.is_empty()).then(|| text.clone());
@@ -201,7 +201,11 @@ fn settings(rows: &mut Rows, full: bool) {
         text(&run.result.settings.link).filter(|_| full || !is_offline(run))
     });
     rows.add("compute", |run| text(&run.result.settings.compute));
-    for (name, value) in &RARE[..if full { RARE.len() } else { MAIN }] {
+    let usual = USUAL
+        .iter()
+        .filter(|setting| full || is_notable(rows.runs, setting))
+        .collect::<Vec<_>>();
+    for (name, value) in RARE.iter().chain(usual) {
         if rows.runs.iter().any(|run| !value(&run.result.settings).is_empty()) {
             rows.add(*name, |run| text(value(&run.result.settings)));
         }
@@ -217,6 +221,13 @@ fn settings(rows: &mut Rows, full: bool) {
             Some(format!("{} / {}", run.result.runs, run.result.logs.len()))
         });
     }
+}
+
+/// Whether somebody chose a setting, or runs have different values of it.
+fn is_notable(runs: &[&Run], (name, value): &Setting) -> bool {
+    let values: BTreeSet<&String> = runs.iter().map(|run| value(&run.result.settings)).collect();
+    let known = values.iter().filter(|value| !value.is_empty());
+    known.count() > 1 || runs.iter().any(|run| is_given(run, name))
 }
 
 fn is_offline(run: &Run) -> bool {

@@ -22,7 +22,13 @@ pub const ISA: Setting = ("isa", |settings| &settings.isa);
 /// Arguments and stages that were changed by hand.
 pub const SET: Setting = ("set", |settings| &settings.set);
 pub const PROGRAMS: Setting = ("programs", |settings| &settings.programs);
+pub const GRAPH_HASH: Setting = ("graph_hash", |settings| &settings.graph_hash);
 pub const RATE: Setting = ("rate", |settings| &settings.rate);
+
+/// Whether whoever started a run chose this setting.
+pub fn is_given(run: &Run, name: &str) -> bool {
+    run.samples.given.iter().any(|given| given == name)
+}
 
 /// What a run was made with: `link perfect`.
 struct Fact {
@@ -174,7 +180,12 @@ const NOT_SET: &str = "not set";
 /// The stage of `a.b.key=…`, and what `a.b+c,d.b+c=…` replaces.
 fn stages_of(argument: &str) -> Vec<&str> {
     let stage = argument.rsplit_once('.').map_or(argument, |(stage, _)| stage);
-    std::iter::once(stage).chain(argument.split([',', '+'])).collect()
+    std::iter::once(stage).chain(places_of(argument)).collect()
+}
+
+/// What a change by hand names: an argument, or the stages that `a.b+c,d.b+c=…` replaces.
+pub fn places_of(argument: &str) -> impl Iterator<Item = &str> {
+    argument.split([',', '+'])
 }
 
 /// The arguments changed by hand, with the values that differ among the runs that could have them.
@@ -185,7 +196,7 @@ pub fn changed_differently(runs: &[(&str, &Run)]) -> Vec<(String, Vec<Option<Str
 }
 
 /// `a.b=1, c.d=2,3` by its arguments: values may hold commas.
-fn changes(set: &str) -> BTreeMap<String, String> {
+pub fn changes(set: &str) -> BTreeMap<String, String> {
     let mut found: Vec<(String, String)> = Vec::new();
     for part in set.split(", ").filter(|part| !part.is_empty()) {
         match (part.split_once('='), found.last_mut()) {
@@ -223,4 +234,47 @@ pub fn common_fields(runs: &[(&str, &Run)]) -> Value {
         fields.insert(SET.0.into(), set.into());
     }
     fields.into()
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::tests::{names, run, table};
+    use crate::{Format, Options, Run, pool, shown};
+
+    #[test]
+    fn model_and_isa_are_main_rows_where_they_differ_or_were_chosen() {
+        let [mut one, mut other] = [run("a", "cav1", 1), run("a", "cav1", 2)];
+        for run in [&mut one, &mut other] {
+            (run.result.settings.model, run.result.settings.isa) = ("lite-1".into(), "f32 on avx2".into());
+        }
+        let rows = |one: &Run, other: &Run| {
+            let text = table(&[("one", one), ("other", other)], false, 100);
+            ["model", "isa", "seed"].map(|row| {
+                text.lines()
+                    .any(|line| line.trim_start().starts_with(&format!("{row} ")))
+            })
+        };
+        assert_eq!(rows(&one, &other), [false; 3], "alike, and nobody chose");
+        one.samples.given = names(["isa"]);
+        assert_eq!(rows(&one, &other), [false, true, false]);
+        other.result.settings.model = "lite-attfuse-2".into();
+        assert_eq!(rows(&one, &other), [true, true, false]);
+        other.result.settings.model.clear();
+        assert_eq!(rows(&one, &other)[0], false, "no network is no other network");
+        assert_eq!(pool(&[one.clone()]).unwrap().samples.given, ["isa"]);
+        // Each graph has its model; a chosen one is named beside others all the same.
+        let mut third = run("a", "cav1", 3);
+        third.result.settings.graph = "v2xvit".into();
+        third.result.settings.model = "lite-attfuse-2".into();
+        let markdown = |third: &Run| {
+            let options = Options {
+                format: Format::Markdown,
+                ..Options::default()
+            };
+            shown(&[("one", &one), ("other", &one), ("third", third)], &options)
+        };
+        assert!(!markdown(&third).contains("lite-attfuse-2"));
+        third.samples.given = names(["model"]);
+        assert!(markdown(&third).starts_with("| run | model |"), "{}", markdown(&third));
+    }
 }

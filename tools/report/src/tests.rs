@@ -45,7 +45,7 @@ fn evaluation(log: &str, ego: &str, luck: u64) -> Evaluation {
     evaluation
 }
 
-fn run(log: &str, ego: &str, luck: u64) -> Run {
+pub(crate) fn run(log: &str, ego: &str, luck: u64) -> Run {
     let settings = Settings {
         graph: "late_fusion".into(),
         mode: "virtual".into(),
@@ -207,7 +207,7 @@ fn cells<'a>(table: &'a str, label: &str) -> Vec<&'a str> {
 }
 
 /// As text for a terminal.
-fn table(runs: &[(&str, &Run)], full: bool, width: usize) -> String {
+pub(crate) fn table(runs: &[(&str, &Run)], full: bool, width: usize) -> String {
     let format = Format::Text;
     shown(runs, &Options { format, full, width })
 }
@@ -558,7 +558,7 @@ fn runs_of_one_thing_differ_in_nothing() {
     assert!(!table(&[("one", &one), ("other", &other)], false, 80).contains("differ:"));
 }
 
-fn names<const N: usize>(names: [&str; N]) -> Vec<String> {
+pub(crate) fn names<const N: usize>(names: [&str; N]) -> Vec<String> {
     names.map(String::from).to_vec()
 }
 

@@ -14,7 +14,7 @@ use realo_schemas::PayloadType;
 use sha2::{Digest, Sha256};
 
 use super::networks::Networks;
-use super::nodes::{argument, decide, decided_argument, deciding, given, registration};
+use super::nodes::{argument, decide, decided_argument, deciding, given, keys, registration};
 
 /// The player's output for what is precomputed.
 const PACKETS: &str = "packets";
@@ -248,15 +248,11 @@ fn upstream(graph: &FlatGraph, last: &str) -> (BTreeSet<String>, BTreeSet<String
 
 fn described(graph: &FlatGraph, node: &FlatNode, networks: &mut Networks) -> Result<LaneStage> {
     let folder = graph.file.parent().unwrap_or(Path::new("/"));
-    let own = registration(node).map(|known| (known.defaults)());
-    let own = own.unwrap_or_default().into_iter().map(|(key, _)| key);
-    let written = node.settings().iter().filter_map(|setting| setting.split_once('='));
-    let keys: BTreeSet<String> = written.map(|(key, _)| key.to_string()).chain(own).collect();
     let value = |key: &String| match registration(node) {
         Some(_) => argument(node, key),
         None => given(node, key).map(str::to_string),
     };
-    let mut arguments: BTreeMap<String, String> = keys
+    let mut arguments: BTreeMap<String, String> = keys(node)
         .into_iter()
         .filter_map(|key| value(&key).map(|value| (key, value)))
         .collect();

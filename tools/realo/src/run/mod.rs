@@ -3,6 +3,7 @@
 mod batch;
 mod choices;
 mod compute;
+mod described;
 mod dora;
 mod folders;
 mod lane;
@@ -130,6 +131,22 @@ pub struct Choices {
     /// STAGE="program PATH key=value …" or STAGE="operator NAME …": puts another stage in the place of one (docs/reference/plugins.md)
     #[arg(long)]
     pub replace: Vec<String>,
+}
+
+impl Choices {
+    /// The settings in a table's rare rows that were chosen, by the names of these rows.
+    fn given(&self) -> Vec<String> {
+        let rows = [
+            ("model", self.model.is_some()),
+            (
+                "isa",
+                self.isa.is_some() || self.precision.is_some() || self.device.is_some(),
+            ),
+            ("seed", self.seed.is_some()),
+        ];
+        let given = rows.into_iter().filter(|(_, is_given)| *is_given);
+        given.map(|(name, _)| name.to_string()).collect()
+    }
 }
 
 /// Which driver runs the graph.

@@ -5,7 +5,8 @@ use std::collections::{BTreeMap, VecDeque};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use realo_graph::FlatGraph;
+use eyre::Result;
+use realo_graph::{FlatGraph, Setting};
 use sha2::{Digest, Sha256};
 
 /// Digits of a hash.
@@ -47,6 +48,31 @@ pub fn profile(path: &Path) -> String {
 pub fn link(text: &str) -> String {
     let files = realo_stages::link::files(text);
     realo_stages::link::with_base(&realo_stages::link::in_words(text), |name| with_hash(name, &files))
+}
+
+/// A change by hand as results tell it: the argument and its value, a file by its name and a hash, for results hold no path.
+pub fn change(setting: &Setting) -> (String, String) {
+    let path = Path::new(&setting.value);
+    // The last dot of an address may stand before its port: `tcp/10.0.0.1:7447`.
+    let has_ending = |path: &Path| {
+        path.extension()
+            .is_some_and(|kind| !kind.to_string_lossy().contains(':'))
+    };
+    let is_path = path.is_absolute() || (path.components().count() > 1 && has_ending(path));
+    let name = path.file_name().filter(|_| is_path);
+    let value = name.map_or(setting.value.clone(), |name| match path.is_file() {
+        true => file(path),
+        false => name.to_string_lossy().into_owned(),
+    });
+    (format!("{}.{}", setting.node, setting.key), value)
+}
+
+/// The name of something built in as it is, a file absolute: nodes start in another folder than the user.
+pub fn name_or_file(text: &str) -> Result<String> {
+    if Path::new(text).components().count() == 1 && Path::new(text).extension().is_none() {
+        return Ok(text.into());
+    }
+    Ok(std::path::absolute(text)?.to_string_lossy().into_owned())
 }
 
 /// The plug-ins of a graph, each behind its stage; a program in Python with the modules beside it.
@@ -156,5 +182,23 @@ mod tests {
         let expected = ["maths.py", "mine.py", "package/__init__.py", "package/deep/more.py"];
         assert_eq!(found, expected.map(Path::new));
         assert!(modules(&folder.path().join("mine.sh")).is_empty());
+    }
+
+    #[test]
+    fn results_tell_addresses_whole_and_files_by_their_names() {
+        for (value, expected) in [
+            ("tcp/127.0.0.1:7447", "tcp/127.0.0.1:7447"),
+            ("tls/rsu1.local:7447", "tls/rsu1.local:7447"),
+            ("tcp/10.0.0.1:7447,tcp/[::1]:7447", "tcp/10.0.0.1:7447,tcp/[::1]:7447"),
+            ("north/crossing", "north/crossing"),
+            ("/home/me/keys/cav1.key", "cav1.key"),
+            ("/home/me/models", "models"),
+            ("models/attfuse.toml", "attfuse.toml"),
+            ("0.5", "0.5"),
+        ] {
+            let setting: Setting = format!("v2x.connect={value}").parse().unwrap();
+            let reported = change(&setting);
+            assert_eq!(reported, ("v2x.connect".to_string(), expected.to_string()));
+        }
     }
 }

@@ -95,6 +95,14 @@ pub fn argument(node: &FlatNode, key: &str) -> Option<String> {
     given(node, key).map(str::to_string).or_else(default)
 }
 
+/// The keys of all arguments of a node: those that the graph has, and those with a default.
+pub fn keys(node: &FlatNode) -> BTreeSet<String> {
+    let own = registration(node).map(|known| (known.defaults)());
+    let own = own.unwrap_or_default().into_iter().map(|(key, _)| key);
+    let written = node.settings().iter().filter_map(|setting| setting.split_once('='));
+    written.map(|(key, _)| key.to_string()).chain(own).collect()
+}
+
 /// Makes the paths in a graph's arguments and in their defaults absolute: it may be started from another folder than its
 /// own, from which they are seen. A value that begins with `./` or `../` is one, and one with a `/` or an ending where there is such
 /// a file; the model of a network and the program of a plug-in always.
@@ -105,12 +113,8 @@ pub fn anchor_paths(graph: &mut FlatGraph) -> Result<()> {
             let path = normalized(&folder.join(program));
             node.set_program(&path.to_string_lossy());
         }
-        let own = registration(node).map(|known| (known.defaults)());
-        let own = own.unwrap_or_default().into_iter().map(|(key, _)| key);
-        let written = node.settings().iter().filter_map(|setting| setting.split_once('='));
-        let keys: BTreeSet<String> = written.map(|(key, _)| key.to_string()).chain(own).collect();
         let model = decided_argument(node, roles::MODEL);
-        for key in keys {
+        for key in keys(node) {
             let is_path = |value: &String| {
                 is_relative_path(value)
                     || model == Some(key.as_str())

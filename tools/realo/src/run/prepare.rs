@@ -9,7 +9,7 @@ use realo_host::ComputeProfile;
 use realo_logs::{AgentKind, LaneStage, Log, Stream};
 use realo_player::PlannedRun;
 use realo_results::scoring::Protocol;
-use realo_results::{RunSettings, Settings};
+use realo_results::{GraphStages, RunSettings, Settings};
 
 use super::batch::{Batch, Unplayable};
 use super::lane::{self, SendingLane};
@@ -19,7 +19,7 @@ use super::nodes::{
     anchor_paths, argument, can_project, decide, decided_argument, deciding, given, is_like_path, is_relative_path,
     set_model, takers, values,
 };
-use super::{Args, Mode, choices, compute, dir_of, limit, named, replace, resume};
+use super::{Args, Mode, choices, compute, described, dir_of, limit, named, replace, resume};
 use crate::fit::protocol_fits;
 use crate::{demo, registry, roles};
 
@@ -108,6 +108,7 @@ pub fn batch(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Batch> 
     let logs = logs(args, &graph)?;
     distinct(&logs)?;
     let mut planner = Planner {
+        described: described::stages(&graph),
         compute: compute::profile(args.compute.as_deref(), &graph)?,
         args,
         mode,
@@ -154,6 +155,8 @@ struct Planner<'a> {
     logs: Vec<PathBuf>,
     networks: Networks,
     unplayable: Unplayable,
+    /// What results say of the graph.
+    described: GraphStages,
 }
 
 impl Planner<'_> {
@@ -201,6 +204,7 @@ impl Planner<'_> {
         let (graph, mut settings) = decisions.to(&self.graph, &self.set)?;
         let words = self.networks.check(&graph)?;
         (settings.isa, settings.model) = (words.kernels, words.models);
+        settings.graph_hash = described::hash(&self.described)?;
         let name = format!("{}, {stem}, {}", self.name, planned.ego);
         let played = fitting_protocols(&graph, log, &planned.ego)
             .and_then(|()| lane::precomputed(&graph, log, planned, args.offline, &mut self.networks));
@@ -229,6 +233,8 @@ impl Planner<'_> {
                 log: log_path.to_string_lossy().into_owned(),
                 log_hash: resume::log_content(log_path)?,
                 settings,
+                graph: self.described.clone(),
+                given: args.choices.given(),
                 fingerprint,
             },
             out,
@@ -503,7 +509,7 @@ impl Decisions<'_> {
     fn settings(&self, graph: &FlatGraph, set: &[Setting]) -> Result<Settings> {
         let mut projecting = graph.clone();
         projecting.nodes.retain(can_project);
-        let mut changes: BTreeMap<String, String> = set.iter().map(change_in_words).collect();
+        let mut changes: BTreeMap<String, String> = set.iter().map(named::change).collect();
         changes.extend(replace::in_words(&self.args.choices.replace)?);
         let changes: Vec<String> = changes
             .into_iter()
@@ -570,7 +576,7 @@ impl Decisions<'_> {
         let device = args.choices.device.iter();
         decisions.extend(device.map(|device| (roles::DEVICE, device.clone())));
         if let Some(profile) = &args.choices.link {
-            let named = |name: &str| name_or_file(name).unwrap_or_else(|_| name.into());
+            let named = |name: &str| named::name_or_file(name).unwrap_or_else(|_| name.into());
             decisions.push((roles::LINK, realo_stages::link::with_base(profile, named)));
         }
         Ok(decisions)
@@ -579,7 +585,7 @@ impl Decisions<'_> {
     fn of_log(&self, graph: &FlatGraph) -> Result<Vec<(&'static str, String)>> {
         let info = self.log.info();
         let protocol = self.args.protocol.as_deref().unwrap_or(&info.protocol);
-        let mut decisions = vec![(roles::PROTOCOL, name_or_file(protocol)?)];
+        let mut decisions = vec![(roles::PROTOCOL, named::name_or_file(protocol)?)];
         let roadside = info.agents.iter().filter(|agent| agent.kind == AgentKind::Roadside);
         let roadside: Vec<&str> = roadside.map(|agent| &*agent.name).collect();
         decisions.push((roles::ROADSIDE, roadside.join(",")));
@@ -618,33 +624,8 @@ fn recording_name(node: &FlatNode, argument: &str, ego: &str) -> PathBuf {
     }
 }
 
-/// The name of something built in as it is, a file absolute: nodes start in another folder than the user.
-fn name_or_file(text: &str) -> Result<String> {
-    if Path::new(text).components().count() == 1 && Path::new(text).extension().is_none() {
-        return Ok(text.into());
-    }
-    Ok(std::path::absolute(text)?.to_string_lossy().into_owned())
-}
-
 pub(super) fn stem(path: &Path) -> String {
     path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
-}
-
-/// A change by hand as results tell it: the argument and its value, a file by its name and a hash, for results hold no path.
-fn change_in_words(setting: &Setting) -> (String, String) {
-    let path = Path::new(&setting.value);
-    // The last dot of an address may stand before its port: `tcp/10.0.0.1:7447`.
-    let has_ending = |path: &Path| {
-        path.extension()
-            .is_some_and(|kind| !kind.to_string_lossy().contains(':'))
-    };
-    let is_path = path.is_absolute() || (path.components().count() > 1 && has_ending(path));
-    let name = path.file_name().filter(|_| is_path);
-    let value = name.map_or(setting.value.clone(), |name| match path.is_file() {
-        true => named::file(path),
-        false => name.to_string_lossy().into_owned(),
-    });
-    (format!("{}.{}", setting.node, setting.key), value)
 }
 
 /// Refuses a graph with errors and prints its warnings.
@@ -682,23 +663,5 @@ mod tests {
         assert_eq!(named("log", "cav2"), Path::new("cav2.mcap"));
         assert_eq!(named("log", "rsu1"), Path::new("rsu1.mcap"));
         assert_eq!(named("score.recorder", "cav2"), Path::new("recording.mcap"));
-    }
-
-    #[test]
-    fn results_tell_addresses_whole_and_files_by_their_names() {
-        for (value, expected) in [
-            ("tcp/127.0.0.1:7447", "tcp/127.0.0.1:7447"),
-            ("tls/rsu1.local:7447", "tls/rsu1.local:7447"),
-            ("tcp/10.0.0.1:7447,tcp/[::1]:7447", "tcp/10.0.0.1:7447,tcp/[::1]:7447"),
-            ("north/crossing", "north/crossing"),
-            ("/home/me/keys/cav1.key", "cav1.key"),
-            ("/home/me/models", "models"),
-            ("models/attfuse.toml", "attfuse.toml"),
-            ("0.5", "0.5"),
-        ] {
-            let setting: Setting = format!("v2x.connect={value}").parse().unwrap();
-            let reported = change_in_words(&setting);
-            assert_eq!(reported, ("v2x.connect".to_string(), expected.to_string()));
-        }
     }
 }
