@@ -11,6 +11,6 @@ mod time;
 pub mod virtual_time;
 
 pub use profile::ComputeProfile;
-pub use program::{Child, Program, interpreter, python};
+pub use program::{Child, Guard, Program, interpreter, python};
 pub use stages::{BuildError, Stages};
 pub use time::wall_now;

@@ -1,4 +1,4 @@
-//! Ends a plug-in with its driver, however the driver ends.
+//! Ends a program with the one that started it, however that one ends.
 
 use std::io;
 use std::os::unix::process::CommandExt;
@@ -9,9 +9,9 @@ use rustix::process::{Pid, Signal, kill_process_group};
 /// Waits until nobody can write to its standard input any more, and kills its process group.
 const SCRIPT: &str = "read -r _; kill -s KILL 0";
 
-/// Leads the process group of a plug-in and of all that the plug-in starts. The group ends with this value; a driver that is
-/// killed closes the leader's standard input, and the leader ends the group.
-pub(super) struct Guard(Child);
+/// Leads the process group of a program, such as a plug-in, and of all that the program starts. The group ends with this value.
+/// A process that is killed closes the leader's standard input, and the leader ends the group.
+pub struct Guard(Child);
 
 impl Guard {
     /// A leader without followers.

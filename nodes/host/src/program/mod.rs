@@ -18,6 +18,7 @@ use realo_operator::pipe::{DRIVER, DRIVER_VARIABLE, MEMORY_VARIABLE, memory};
 
 pub use child::Child;
 use child::Silence;
+pub use guard::Guard;
 
 /// How long a program may take to say hello: it loads its weights before, and Python its packages.
 const PATIENCE: Duration = Duration::from_secs(120);

@@ -17,6 +17,7 @@ use std::path::PathBuf;
 
 use clap::ValueEnum;
 use eyre::Result;
+use realo_cli::program::beside;
 use realo_cli::{Outcome, Progress};
 use serde::Serialize;
 
@@ -74,6 +75,11 @@ enum Name {
 }
 
 impl Name {
+    /// Whether it has the car's program run graphs.
+    fn runs_graphs(self) -> bool {
+        matches!(self, Name::Framework | Name::Faults | Name::Memory)
+    }
+
     /// What the Python that it is compared with needs.
     fn packages(self) -> &'static [&'static str] {
         match self {
@@ -89,6 +95,10 @@ impl Name {
 pub fn main(args: &Args) -> Result<Outcome> {
     if let (Some(python), packages @ [_, ..]) = (&args.python, args.name.packages()) {
         peer::Peer::check(python, packages)?;
+    }
+    // Before a log is made for it.
+    if args.name.runs_graphs() {
+        beside("realo")?;
     }
     let only = args.only.as_deref().unwrap_or_default();
     let name = args.name.to_possible_value();

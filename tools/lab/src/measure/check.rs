@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use eyre::{Result, ensure, eyre};
+use eyre::{Result, WrapErr, ensure, eyre};
 
 use super::page::{Column, Page, Step};
 use super::template;
@@ -39,6 +39,8 @@ impl Page {
     }
 
     fn check_step(&self, step: &Step, known: &BTreeSet<&str>) -> Result<()> {
+        check_name(&step.name).wrap_err_with(|| format!("step `{}`", step.name))?;
+        self.check_output(step)?;
         let each = step.each.as_ref();
         if let Some(each) = each {
             ensure!(
@@ -57,6 +59,37 @@ impl Page {
         }
         Ok(())
     }
+
+    /// Refuses an output that is not the step's own: what is there is removed before the command writes it anew. With names
+    /// that have no dot, the outputs of two steps are never the same.
+    fn check_output(&self, step: &Step) -> Result<()> {
+        let rest = step.output.strip_prefix("{out}");
+        let is_own = rest.is_some_and(|rest| {
+            let inside = rest.is_empty() || rest.starts_with(['.', '/']);
+            let is_known = |name: &&str| self.parameters.contains_key(*name);
+            inside && !rest.contains("..") && template::names(rest).iter().all(is_known)
+        });
+        ensure!(
+            is_own,
+            "step `{}`: `output`: expected `{{out}}`, and behind it nothing, an ending or a file below it; found `{}`",
+            step.name,
+            step.output
+        );
+        Ok(())
+    }
+}
+
+/// Refuses the name of a page or a step that would not be one folder or file of its own.
+///
+/// # Errors
+/// Other signs than letters, digits, `-` and `_`.
+pub fn check_name(name: &str) -> Result<()> {
+    let is_plain = |letter: char| letter.is_ascii_alphanumeric() || "-_".contains(letter);
+    ensure!(
+        !name.is_empty() && name.chars().all(is_plain),
+        "expected a name of letters, digits, `-` and `_`, found `{name}`"
+    );
+    Ok(())
 }
 
 #[cfg(test)]
@@ -92,10 +125,40 @@ mod tests {
                 "there is no step `b`",
             ),
             ("other = 1".into(), "unknown field `other`"),
+            (format!("{step}args = []").replace("'a'", "'../a'"), "found `../a`"),
+            (format!("{step}args = []").replace("'a'", "''"), "found ``"),
+            (format!("{step}args = []").replace("'a'", "'a.b'"), "found `a.b`"),
         ] {
-            let error = checked(&text).unwrap_err().to_string();
+            let error = format!("{:#}", checked(&text).unwrap_err());
             assert!(error.contains(expected), "{text}\n{error}");
         }
         checked(&format!("{step}args = ['{{out}}', '{{env:HOME}}']")).unwrap();
+    }
+
+    #[test]
+    fn nothing_but_a_place_of_the_step_is_its_output() {
+        let with = |output: &str| {
+            let step = format!("[[steps]]\nname = 'a'\nprogram = 'realo'\nargs = []\noutput = '{output}'");
+            checked(&format!("parameters = {{ n = 1 }}\n{step}"))
+        };
+        for output in ["{out}", "{out}.mcap", "{out}/{n}.json"] {
+            with(output).unwrap();
+        }
+        for output in [
+            "/tmp/mine",
+            "mine",
+            "",
+            "{out}mine",
+            "{out}/../mine",
+            "{out}/{env:HOME}",
+            "{out}/{a}",
+            "x{out}",
+        ] {
+            let error = with(output).unwrap_err().to_string();
+            assert!(
+                error.contains("step `a`: `output`") && error.contains(output),
+                "{error}"
+            );
+        }
     }
 }

@@ -6,6 +6,7 @@
 mod cell;
 mod check;
 mod json;
+mod lock;
 mod output;
 mod page;
 mod plan;
@@ -19,7 +20,7 @@ mod steps;
 mod table;
 mod template;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use eyre::{Result, bail, ensure, eyre};
 
@@ -55,9 +56,6 @@ pub struct Args {
     /// Measure a tree with changes that are not committed; the page says so
     #[arg(long)]
     allow_dirty: bool,
-    /// The program that runs all steps [default: realo and realo-lab beside this program]
-    #[arg(long)]
-    realo: Option<PathBuf>,
 }
 
 /// What all pages of a call share.
@@ -70,17 +68,19 @@ struct Bench {
 /// Writes the pages that were asked for.
 ///
 /// # Errors
-/// A tree with changes; an unknown page; a step that failed, with its command and its last lines.
+/// A tree with changes; an unknown page; a page that another call measures; a step that failed, with its command and its last
+/// lines.
 pub fn main(args: &Args) -> Result<()> {
-    let tree = Tree::find()?;
-    let recipes = Recipes::read(&tree.root)?;
+    let root = recipes::root(Path::new("."))?;
+    let recipes = Recipes::read(&root)?;
     if args.list {
         print!("{}", recipes.list());
         return Ok(());
     }
-    tree.refuse_changes(args.allow_dirty)?;
     let pages = chosen(args, &recipes)?;
-    let programs = Programs::find(args.realo.as_deref(), &tree.root)?;
+    let tree = Tree::of(root)?;
+    tree.refuse_changes(args.allow_dirty)?;
+    let programs = Programs::find(&tree.root)?;
     let bench = Bench {
         recipes,
         tree,
@@ -130,6 +130,7 @@ impl Bench {
             output::check_markers(&readme, name)?;
         }
         let plan = plan::Plan::new(name, &page)?;
+        let _lock = lock::Lock::of_page(&plan.folder(root), &plan.lock(root))?;
         let runner = steps::Runner {
             plan: &plan,
             programs: &self.programs,
@@ -148,6 +149,8 @@ impl Bench {
         let folder = args.out.clone().unwrap_or_else(|| root.join("docs/measured"));
         output::write_page(&folder.join(format!("{name}.md")), &text)?;
         if let (true, Some(table)) = (in_place, sheet.readme_table()?) {
+            // Tables of other pages are in that file too.
+            let _lock = lock::Lock::wait(&plan::readme_lock(root))?;
             output::write_block(&readme, name, &table)?;
         }
         Ok(())

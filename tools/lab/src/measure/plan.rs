@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use eyre::{Result, ensure};
+use eyre::Result;
 
 use super::page::{Page, Program, Step};
 use super::template;
@@ -42,7 +42,7 @@ impl Plan {
     /// The commands of the page `name`.
     ///
     /// # Errors
-    /// A placeholder without a value; an output outside the page's folder.
+    /// A placeholder without a value.
     pub fn new(name: &str, page: &Page) -> Result<Self> {
         let folder = format!("{FOLDER}/{name}");
         let mut plan = Plan {
@@ -96,22 +96,24 @@ impl Plan {
                 None => args.push(template::fill(arg, plain)?),
             }
         }
-        let output = template::fill(&step.output, plain)?;
-        // What is there is removed before the command writes it anew.
-        ensure!(
-            output.starts_with(&out) && !output.contains(".."),
-            "step `{}`: `output`: expected a place that begins with `{{out}}`, found `{}`",
-            step.name,
-            step.output
-        );
         Ok(Job {
             step: step.name.clone(),
             value,
             program: step.program,
             args,
-            output,
+            output: template::fill(&step.output, plain)?,
             reads,
         })
+    }
+
+    /// The folder of the page.
+    pub fn folder(&self, root: &Path) -> PathBuf {
+        root.join(&self.folder)
+    }
+
+    /// What is locked while the page is measured.
+    pub fn lock(&self, root: &Path) -> PathBuf {
+        self.folder(root).join(KEPT).join("lock")
     }
 
     /// Where a step writes, relative to the root.
@@ -128,13 +130,18 @@ impl Plan {
     /// Where what a command prints is kept, without the ending.
     pub fn kept(&self, job: &Job, root: &Path) -> PathBuf {
         let value = job.value.map_or(String::new(), |value| format!(".{value}"));
-        root.join(&self.folder).join(KEPT).join(format!("{}{value}", job.step))
+        self.folder(root).join(KEPT).join(format!("{}{value}", job.step))
     }
 
     /// What the only command of a step printed.
     pub fn printed(&self, job: &Job, root: &Path) -> PathBuf {
         self.kept(job, root).with_added_extension("stdout")
     }
+}
+
+/// What is locked while README.md is written.
+pub fn readme_lock(root: &Path) -> PathBuf {
+    root.join(FOLDER).join(".readme-lock")
 }
 
 /// Whether what counts of a command is what it prints.

@@ -5,24 +5,28 @@ use std::path::Path;
 use std::process::{Command, Stdio};
 
 use eyre::{Result, WrapErr, bail};
+use realo_host::Guard;
 
 /// Lines of a command that failed, which its error repeats.
 const LAST_LINES: usize = 12;
 
-/// Runs a command in a folder; what it prints goes into the files `NAME.stdout` and `NAME.stderr`.
+/// Runs a command in a folder. It ends, with all that it started, when this process does, however that ends; what it prints goes into the files `NAME.stdout` and `NAME.stderr`.
 ///
 /// # Errors
 /// A command that cannot start, or that ends with another code than 0: the command and its last lines.
 pub fn run(program: &Path, args: &[String], folder: &Path, name: &Path) -> Result<()> {
     let [stdout, stderr] = ["stdout", "stderr"].map(|end| name.with_added_extension(end));
     let file = |path: &Path| File::create(path).wrap_err_with(|| path.display().to_string());
-    let status = Command::new(program)
+    let guard = Guard::start().wrap_err("sh, which ends a step together with this program")?;
+    let mut command = Command::new(program);
+    command
         .args(args)
         .current_dir(folder)
         .stdin(Stdio::null())
         .stdout(file(&stdout)?)
-        .stderr(file(&stderr)?)
-        .status();
+        .stderr(file(&stderr)?);
+    guard.lead(&mut command);
+    let status = command.status();
     let status = status.wrap_err_with(|| format!("{} did not start", program.display()))?;
     if !status.success() {
         let command = shlex::try_join(args.iter().map(String::as_str)).unwrap_or_else(|_| args.join(" "));

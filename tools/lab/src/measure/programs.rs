@@ -4,7 +4,8 @@ use std::fs;
 use std::path::{Path, PathBuf};
 use std::time::SystemTime;
 
-use eyre::{Result, WrapErr, bail, ensure};
+use eyre::{Result, WrapErr, bail};
+use realo_cli::program::beside;
 
 use super::page::Program;
 use super::provenance::sha256;
@@ -16,26 +17,13 @@ pub struct Programs {
 }
 
 impl Programs {
-    /// The programs beside this one, or `given` for both.
+    /// The programs beside this one, and this one.
     ///
     /// # Errors
-    /// One that is missing, or older than a source that it was built from.
-    pub fn find(given: Option<&Path>, root: &Path) -> Result<Self> {
-        if let Some(path) = given {
-            let path = path.canonicalize().wrap_err_with(|| path.display().to_string())?;
-            let program = (path.clone(), sha256(&path)?);
-            return Ok(Programs {
-                realo: program.clone(),
-                lab: program,
-            });
-        }
+    /// One that is missing, that was built from another tree than `root`, or is older than a source of it.
+    pub fn find(root: &Path) -> Result<Self> {
         let own = std::env::current_exe()?;
-        let realo = own.with_file_name("realo");
-        ensure!(
-            realo.is_file(),
-            "{} is not there; build it: cargo build --release",
-            realo.display()
-        );
+        let realo = beside("realo")?;
         for program in [&realo, &own] {
             refuse_stale(program, root)?;
         }
@@ -43,6 +31,16 @@ impl Programs {
             realo: (realo.clone(), sha256(&realo)?),
             lab: (own.clone(), sha256(&own)?),
         })
+    }
+
+    /// One program in place of both.
+    #[cfg(test)]
+    pub fn alone(program: &Path) -> Self {
+        let program = (program.to_path_buf(), sha256(program).unwrap());
+        Programs {
+            realo: program.clone(),
+            lab: program,
+        }
     }
 
     /// Where a program is.
@@ -63,35 +61,48 @@ impl Programs {
     }
 }
 
-/// Refuses a program that is older than one of its sources, by the list that cargo leaves beside it.
+/// Refuses a program of another tree, or one that is older than one of its sources, by the list that cargo leaves beside it.
 fn refuse_stale(program: &Path, root: &Path) -> Result<()> {
     let list = program.with_extension("d");
     let text = fs::read_to_string(&list).wrap_err_with(|| {
         let list = list.display();
         format!("{list}: without this list of cargo nobody knows whether the program is of this tree; build it here")
     })?;
-    let built = fs::metadata(program)?.modified()?;
-    if let Some(source) = newer(&text, built, root) {
+    let (sources, program_shown) = (sources(&text, root), program.display());
+    let is_here = |source: &PathBuf| source.canonicalize().is_ok_and(|source| source.starts_with(root));
+    if !sources.iter().any(is_here) {
+        let other = sources.first().map_or_else(|| list.clone(), PathBuf::clone);
         bail!(
-            "{} is older than {}: build it again, or a page would name the wrong commit",
-            program.display(),
+            "{program_shown}: expected a program that was built from {}, whose commit the page would name, found one that was \
+             built from {}: run the `realo-lab` that is built here",
+            root.display(),
+            other.display()
+        );
+    }
+    let built = fs::metadata(program)?.modified()?;
+    if let Some(source) = newer(&sources, built) {
+        bail!(
+            "{program_shown} is older than {}: build it again, or a page would name the wrong commit",
             source.display()
         );
     }
     Ok(())
 }
 
-/// The first source of a list in Makefile's form that changed after `built`.
-fn newer(list: &str, built: SystemTime, root: &Path) -> Option<PathBuf> {
+/// The sources in a list in Makefile's form.
+fn sources(list: &str, root: &Path) -> Vec<PathBuf> {
     // A space inside a path has a backslash before it.
     let list = list.replace("\\ ", "\0");
     let sources = list.split_whitespace().filter(|word| !word.ends_with(':'));
-    let paths = sources.map(|source| root.join(source.replace('\0', " ")));
-    let mut changed = paths.filter(|path| {
+    sources.map(|source| root.join(source.replace('\0', " "))).collect()
+}
+
+/// The first source that changed after `built`.
+fn newer(sources: &[PathBuf], built: SystemTime) -> Option<&PathBuf> {
+    sources.iter().find(|path| {
         let modified = fs::metadata(path).and_then(|found| found.modified());
         modified.is_ok_and(|modified| modified > built)
-    });
-    changed.next()
+    })
 }
 
 #[cfg(test)]
@@ -102,10 +113,12 @@ mod tests {
     #[test]
     fn a_program_older_than_its_source_is_refused() {
         let folder = tempfile::tempdir().unwrap();
-        let [program, source] = ["realo", "with space.rs"].map(|name| folder.path().join(name));
+        // As the tree is found.
+        let root = folder.path().canonicalize().unwrap();
+        let [program, source] = ["realo", "with space.rs"].map(|name| root.join(name));
         fs::write(&program, "").unwrap();
         fs::write(&source, "").unwrap();
-        let error = refuse_stale(&program, folder.path()).unwrap_err();
+        let error = refuse_stale(&program, &root).unwrap_err();
         assert!(error.to_string().contains("realo.d"), "{error}");
         let list = source.display().to_string().replace(' ', "\\ ");
         fs::write(
@@ -122,9 +135,17 @@ mod tests {
                 .set_modified(time)
         };
         change(built - Duration::from_secs(1)).unwrap();
-        refuse_stale(&program, folder.path()).unwrap();
+        refuse_stale(&program, &root).unwrap();
         change(built + Duration::from_secs(1)).unwrap();
-        let error = refuse_stale(&program, folder.path()).unwrap_err();
+        let error = refuse_stale(&program, &root).unwrap_err();
         assert!(error.to_string().contains("is older than"), "{error}");
+        // The program of one tree, called in another one.
+        let other = tempfile::tempdir().unwrap();
+        let error = refuse_stale(&program, &other.path().canonicalize().unwrap())
+            .unwrap_err()
+            .to_string();
+        for part in [other.path(), &source] {
+            assert!(error.contains(&part.display().to_string()), "{error}");
+        }
     }
 }

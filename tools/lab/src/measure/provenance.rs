@@ -84,17 +84,12 @@ pub fn hex(bytes: &[u8]) -> String {
 }
 
 impl Tree {
-    /// The tree around the current folder.
+    /// The tree of a folder.
     ///
     /// # Errors
     /// No git repository there.
-    pub fn find() -> Result<Self> {
-        Self::around(Path::new("."))
-    }
-
-    fn around(folder: &Path) -> Result<Self> {
-        let root = PathBuf::from(git(folder, &["rev-parse", "--show-toplevel"])?);
-        let commit = git(&root, &["describe", "--always", "--tags", "--abbrev=12"])?;
+    pub fn of(root: PathBuf) -> Result<Self> {
+        let commit = git(&root, &["rev-parse", "--short=12", "HEAD"])?;
         let status = ["status", "--porcelain", "--untracked-files=no", "--", "."];
         let changes = git(&root, &[&status[..], &WRITTEN].concat())?;
         Ok(Tree {
@@ -185,14 +180,16 @@ mod tests {
         run(&["add", "."]).unwrap();
         run(&["commit", "-q", "-m", "first"]).unwrap();
         let commit = run(&["rev-parse", "HEAD"]).unwrap();
+        // A commit has one name, whatever tags are near.
+        run(&["tag", "v9"]).unwrap();
         fs::write(at("docs/measured/small.md"), "b").unwrap();
         fs::write(at("README.md"), "b").unwrap();
         fs::write(at("untracked"), "b").unwrap();
-        let tree = Tree::around(folder.path()).unwrap();
+        let tree = Tree::of(folder.path().into()).unwrap();
         tree.refuse_changes(false).unwrap();
         assert!(commit.starts_with(&tree.commit), "{commit} {}", tree.commit);
         fs::write(at("code.rs"), "b").unwrap();
-        let tree = Tree::around(folder.path()).unwrap();
+        let tree = Tree::of(folder.path().into()).unwrap();
         let error = tree.refuse_changes(false).unwrap_err().to_string();
         assert!(error.contains("--allow-dirty"), "{error}");
         tree.refuse_changes(true).unwrap();

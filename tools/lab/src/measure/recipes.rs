@@ -2,16 +2,34 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr, eyre};
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
+use super::check::check_name;
 use super::page::{Column, Kind, Page};
 
 /// Where they are in the tree.
 const FOLDER: &str = "tools/lab/src/measure";
+
+/// The tree of this project around a folder.
+///
+/// # Errors
+/// A folder outside of it.
+pub fn root(folder: &Path) -> Result<PathBuf> {
+    let folder = folder.canonicalize().wrap_err_with(|| folder.display().to_string())?;
+    let found = folder
+        .ancestors()
+        .find(|above| above.join(FOLDER).join("pages").is_dir());
+    found.map(Path::to_path_buf).ok_or_else(|| {
+        eyre!(
+            "{}: expected the repository of realo, found no folder {FOLDER} here or above: change to the repository",
+            folder.display()
+        )
+    })
+}
 
 /// All pages, and what they share.
 pub struct Recipes {
@@ -42,8 +60,10 @@ impl Recipes {
                 continue;
             }
             let page: Page = read(&path)?;
-            page.check(&columns).wrap_err_with(|| path.display().to_string())?;
             let name = path.file_stem().unwrap_or_default().to_string_lossy();
+            check_name(&name)
+                .and_then(|()| page.check(&columns))
+                .wrap_err_with(|| path.display().to_string())?;
             pages.insert(name.into_owned(), page);
         }
         Ok(Recipes { pages, columns, paper })
@@ -92,8 +112,15 @@ mod tests {
     use super::*;
     use crate::measure::{json, plan::Plan};
 
-    fn root() -> std::path::PathBuf {
-        Path::new(env!("CARGO_MANIFEST_DIR")).join("../..")
+    fn root() -> PathBuf {
+        super::root(Path::new(env!("CARGO_MANIFEST_DIR"))).unwrap()
+    }
+
+    #[test]
+    fn a_folder_outside_of_the_tree_is_named() {
+        let outside = tempfile::tempdir().unwrap();
+        let said = super::root(outside.path()).unwrap_err().to_string();
+        assert!(said.contains("change to the repository"), "{said}");
     }
 
     #[test]

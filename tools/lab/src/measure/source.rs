@@ -22,9 +22,16 @@ pub struct Results<'a> {
     paper: &'a Value,
 }
 
+/// A result of a step.
 fn read(path: &Path) -> Result<Value> {
-    let text = fs::read_to_string(path).wrap_err_with(|| path.display().to_string())?;
-    serde_json::from_str(&text).wrap_err_with(|| path.display().to_string())
+    let failed = || {
+        format!(
+            "{}: expected the result of a step (--fresh measures it anew)",
+            path.display()
+        )
+    };
+    let text = fs::read_to_string(path).wrap_err_with(failed)?;
+    serde_json::from_str(&text).wrap_err_with(failed)
 }
 
 impl<'a> Results<'a> {
@@ -149,6 +156,14 @@ mod tests {
                 .to_string()
                 .contains("there is no step `other`")
         );
-        assert!(results.find("run/no_fusion").is_err());
+        for (text, part) in [(None, "run/no_fusion/result.json"), (Some("{ \"isa\": "), "EOF")] {
+            let damaged = folder.path().join("target/realo/measured/p/run/no_fusion");
+            fs::create_dir_all(&damaged).unwrap();
+            if let Some(text) = text {
+                fs::write(damaged.join("result.json"), text).unwrap();
+            }
+            let error = format!("{:#}", results.find("run/no_fusion").unwrap_err());
+            assert!(error.contains(part) && error.contains("--fresh"), "{error}");
+        }
     }
 }

@@ -53,22 +53,56 @@ impl Runner<'_> {
             }
             texts.extend(job.reads.iter().flat_map(|step| made[step.as_str()].iter().cloned()));
             let key = key(&texts);
-            if fresh || !self.is_made(job, &key) {
-                let (at, all) = (at + 1, self.plan.jobs.len());
-                eprintln!("realo-lab: {at} of {all}: {} {}", job.program.name(), shortened(&args));
-                self.make(job, &args, &key)?;
-            }
+            let known = if fresh { None } else { self.made(job, &key) };
+            let digest = match known {
+                Some(digest) => digest,
+                None => {
+                    let (at, all) = (at + 1, self.plan.jobs.len());
+                    eprintln!("realo-lab: {at} of {all}: {} {}", job.program.name(), shortened(&args));
+                    self.make(job, &args, &key)?
+                }
+            };
             // A file that came out the same changes nothing for those who read it.
-            let output = self.root.join(&job.output);
-            let digest = if output.is_file() { sha256(&output)? } else { key };
-            made.entry(&job.step).or_default().push(digest);
+            let is_file = self.root.join(&job.output).is_file();
+            made.entry(&job.step)
+                .or_default()
+                .push(if is_file { digest } else { key });
         }
         Ok(())
     }
 
-    fn is_made(&self, job: &Job, key: &str) -> bool {
-        let kept = self.plan.kept(job, self.root).with_added_extension("key");
-        self.written(job).exists() && fs::read_to_string(kept).is_ok_and(|kept| kept == key)
+    /// The digest of what a command wrote, if it was made from the same and is still what it was.
+    fn made(&self, job: &Job, key: &str) -> Option<String> {
+        let kept = fs::read_to_string(self.key_file(job)).ok()?;
+        let (_, digest) = kept.split_once(' ').filter(|(known, _)| *known == key)?;
+        let written = self.written(job);
+        if !written.exists() {
+            return None;
+        }
+        let is_same = self.digest(job).is_ok_and(|found| found == digest);
+        if !is_same {
+            let written = written.display();
+            eprintln!(
+                "realo-lab: {written}: somebody changed this result after it was measured, so it is measured anew"
+            );
+        }
+        is_same.then(|| digest.into())
+    }
+
+    /// Where it is kept what a command read, and what came of it.
+    fn key_file(&self, job: &Job) -> PathBuf {
+        self.plan.kept(job, self.root).with_added_extension("key")
+    }
+
+    /// A digest of all that a command wrote, and printed if that counts.
+    fn digest(&self, job: &Job) -> Result<String> {
+        let output = Some(self.root.join(&job.output)).filter(|output| output.exists());
+        let printed = captures(job).then(|| self.plan.printed(job, self.root));
+        let digests: Result<Vec<String>> = output.iter().chain(&printed).map(|path| digest_of(path)).collect();
+        Ok(match &digests?[..] {
+            [one] => one.clone(),
+            several => key(several),
+        })
     }
 
     /// What a command wrote, or printed.
@@ -79,9 +113,10 @@ impl Runner<'_> {
         }
     }
 
-    fn make(&self, job: &Job, args: &[String], key: &str) -> Result<()> {
+    /// Runs a command; gives the digest of what it wrote.
+    fn make(&self, job: &Job, args: &[String], key: &str) -> Result<String> {
         let (output, kept) = (self.root.join(&job.output), self.plan.kept(job, self.root));
-        let kept_key = kept.with_added_extension("key");
+        let kept_key = self.key_file(job);
         for folder in [output.parent(), kept.parent()].into_iter().flatten() {
             fs::create_dir_all(folder).wrap_err_with(|| folder.display().to_string())?;
         }
@@ -96,7 +131,9 @@ impl Runner<'_> {
             job.step,
             job.output
         );
-        fs::write(&kept_key, key).wrap_err_with(|| kept_key.display().to_string())
+        let digest = self.digest(job)?;
+        fs::write(&kept_key, format!("{key} {digest}")).wrap_err_with(|| kept_key.display().to_string())?;
+        Ok(digest)
     }
 }
 
@@ -124,12 +161,28 @@ fn shortened(args: &[String]) -> String {
     }
 }
 
-/// A digest of the files that any step may read.
+/// A digest of the files that any step may read; what is written for readers is not among them.
 fn read_by_all(root: &Path) -> Result<String> {
     let mut files = Vec::new();
     for folder in READ {
         add_files(&root.join(folder), &mut files)?;
     }
+    files.retain(|file| file.extension().is_none_or(|extension| extension != "md"));
+    digest_of_all(files, root)
+}
+
+/// A digest of a file, or of all files in a folder.
+fn digest_of(path: &Path) -> Result<String> {
+    if !path.is_dir() {
+        return sha256(path);
+    }
+    let mut files = Vec::new();
+    add_files(path, &mut files)?;
+    digest_of_all(files, path)
+}
+
+/// A digest of names and contents.
+fn digest_of_all(mut files: Vec<PathBuf>, root: &Path) -> Result<String> {
     files.sort();
     let digests: Result<Vec<String>> = files.iter().map(|file| sha256(file)).collect();
     let names = files.iter().map(|file| file.strip_prefix(root).unwrap_or(file));
@@ -138,15 +191,14 @@ fn read_by_all(root: &Path) -> Result<String> {
     Ok(key(&texts))
 }
 
-/// The files below a folder; what is written for readers is not among them.
+/// The files below a folder.
 fn add_files(folder: &Path, files: &mut Vec<PathBuf>) -> Result<()> {
     let entries = fs::read_dir(folder).wrap_err_with(|| folder.display().to_string())?;
     for entry in entries {
         let path = entry?.path();
-        if path.is_dir() {
-            add_files(&path, files)?;
-        } else if path.extension().is_none_or(|extension| extension != "md") {
-            files.push(path);
+        match path.is_dir() {
+            true => add_files(&path, files)?,
+            false => files.push(path),
         }
     }
     Ok(())

@@ -1,4 +1,5 @@
 use super::*;
+use crate::measure::page::Page;
 
 const PAGE: &str = "title = 'T'\nkind = 'scores'\nabout = 'A'\nparameters = { seeds = 2, seconds = 3 }\n";
 const STEPS: &str = r#"
@@ -28,7 +29,7 @@ impl Tried {
             fs::create_dir_all(folder.path().join(name)).unwrap();
             fs::write(folder.path().join(name).join("file"), name).unwrap();
         }
-        let programs = Programs::find(Some(Path::new("/bin/sh")), folder.path()).unwrap();
+        let programs = Programs::alone(Path::new("/bin/sh"));
         Tried { folder, programs }
     }
 
@@ -36,7 +37,8 @@ impl Tried {
     fn run(&self, steps: &str, fresh: bool) -> Result<Vec<String>> {
         let count = self.folder.path().join("count");
         let _ = fs::remove_file(&count);
-        let page = toml::from_str(&format!("{PAGE}{steps}"))?;
+        let page: Page = toml::from_str(&format!("{PAGE}{steps}"))?;
+        page.check(&BTreeMap::new())?;
         let runner = Runner {
             plan: &Plan::new("p", &page)?,
             programs: &self.programs,
@@ -126,4 +128,26 @@ fn a_step_that_writes_nothing_is_an_error() {
         error.contains("step `a` did not write target/realo/measured/p/a"),
         "{error}"
     );
+}
+
+#[test]
+fn a_result_that_somebody_changed_is_measured_anew() {
+    let tried = Tried::new();
+    tried.run(STEPS, false).unwrap();
+    let at = |name: &str| tried.folder.path().join("target/realo/measured/p").join(name);
+    fs::write(at("run/all"), "better figures").unwrap();
+    assert_eq!(tried.run(STEPS, false).unwrap(), ["run"]);
+    assert_eq!(fs::read_to_string(at("run/all")).unwrap(), "log 900 3\nlog 901 3\n");
+    fs::write(at("run/more"), "").unwrap();
+    assert_eq!(tried.run(STEPS, false).unwrap(), ["run"]);
+    fs::write(at("logs/901.log"), "another log").unwrap();
+    assert_eq!(tried.run(STEPS, false).unwrap(), ["901"], "and it came out the same");
+    assert!(tried.run(STEPS, false).unwrap().is_empty());
+    let printing = "[[steps]]\nname = 'a'\nprogram = 'realo'\nargs = ['-c', 'echo 1; echo a >> count', '--json']\n";
+    for (changes, ran) in [(false, 1), (false, 0), (true, 1), (false, 0)] {
+        if changes {
+            fs::write(at(".steps/a.stdout"), "2").unwrap();
+        }
+        assert_eq!(tried.run(printing, false).unwrap().len(), ran);
+    }
 }
