@@ -5,6 +5,7 @@ mod common;
 
 mod accounting;
 mod clocks;
+mod compared;
 mod doors;
 mod faults;
 mod growth;
