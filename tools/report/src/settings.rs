@@ -260,7 +260,7 @@ mod tests {
         other.result.settings.model = "lite-attfuse-2".into();
         assert_eq!(rows(&one, &other), [true, true, false]);
         other.result.settings.model.clear();
-        assert_eq!(rows(&one, &other)[0], false, "no network is no other network");
+        assert!(!rows(&one, &other)[0], "no network is no other network");
         assert_eq!(pool(&[one.clone()]).unwrap().samples.given, ["isa"]);
         // Each graph has its model; a chosen one is named beside others all the same.
         let mut third = run("a", "cav1", 3);

@@ -204,7 +204,7 @@ impl Planner<'_> {
         let (graph, mut settings) = decisions.to(&self.graph, &self.set)?;
         let words = self.networks.check(&graph)?;
         (settings.isa, settings.model) = (words.kernels, words.models);
-        settings.graph_hash = described::hash(&self.described)?;
+        settings.graph_hash = described::hash(&self.described);
         let name = format!("{}, {stem}, {}", self.name, planned.ego);
         let played = fitting_protocols(&graph, log, &planned.ego)
             .and_then(|()| lane::precomputed(&graph, log, planned, args.offline, &mut self.networks));
