@@ -242,6 +242,16 @@ mod tests {
     use crate::{Format, Options, Run, pool, shown};
 
     #[test]
+    fn long_words_do_not_part_two_runs() {
+        let [mut one, mut other] = [run("a", "cav1", 1), run("a", "cav1", 2)];
+        one.result.settings.model = "lite-2e46ebab164e18a4".into();
+        other.result.settings.model = "lite-attfuse-2e46ebab164e18a4, lite-2e46ebab164e18a4".into();
+        let text = table(&[("one", &one), ("other", &other)], false, 80);
+        assert_eq!(text.lines().filter(|line| line.starts_with('─')).count(), 1, "{text}");
+        assert!(text.lines().all(|line| line.chars().count() <= 80), "{text}");
+    }
+
+    #[test]
     fn model_and_isa_are_main_rows_where_they_differ_or_were_chosen() {
         let [mut one, mut other] = [run("a", "cav1", 1), run("a", "cav1", 2)];
         for run in [&mut one, &mut other] {

@@ -13,6 +13,8 @@ use crate::{Options, foot};
 pub const SIDE_BY_SIDE: usize = 2;
 /// Between columns.
 const GAP: usize = 3;
+/// Settings and names are broken into lines of at most so many columns.
+const WORDS: usize = 24;
 /// A label takes at most this share of the width.
 const LABELS: usize = 2;
 
@@ -26,8 +28,11 @@ pub fn table(runs: &[(&str, &Run)], options: &Options) -> String {
     let labels = labels.map(|row| width_of(&row.label) + 2).max().unwrap_or(0);
     let labels = labels.min(width / LABELS);
     let most = width.saturating_sub(labels + GAP).max(1);
+    // Words are broken into more lines before columns part.
+    let beside = names.len().clamp(1, SIDE_BY_SIDE);
+    let for_words = (width.saturating_sub(labels) / beside).saturating_sub(GAP).min(WORDS);
     let widths: Vec<usize> = (0..names.len())
-        .map(|run| column_width(&sections, names[run], run).min(most))
+        .map(|run| column_width(&sections, names[run], run, for_words).min(most))
         .collect();
     let mut text = String::new();
     for difference in crate::differences::of_data(runs) {
@@ -53,8 +58,8 @@ pub fn table(runs: &[(&str, &Run)], options: &Options) -> String {
     text + &below
 }
 
-/// What the widest cell takes; settings are broken into lines, numbers are not.
-fn column_width(sections: &[Section], name: &str, run: usize) -> usize {
+/// What the widest cell takes; settings and names are broken into lines of at most `words` columns, numbers are not.
+fn column_width(sections: &[Section], name: &str, run: usize, words: usize) -> usize {
     let cells = |section: &Section| {
         let cells = section
             .rows
@@ -65,8 +70,7 @@ fn column_width(sections: &[Section], name: &str, run: usize) -> usize {
     let (settings, numbers) = sections.split_first().map_or((0, 0), |(settings, numbers)| {
         (cells(settings), numbers.iter().map(cells).max().unwrap_or(0))
     });
-    const SETTINGS: usize = 24;
-    numbers.max(settings.min(SETTINGS)).max(width_of(name).min(SETTINGS))
+    numbers.max(settings.min(words)).max(width_of(name).min(words))
 }
 
 fn columns_that_fit(widths: &[usize], from: usize, labels: usize, most: usize) -> usize {
