@@ -10,7 +10,8 @@ use realo_host::Guard;
 /// Lines of a command that failed, which its error repeats.
 const LAST_LINES: usize = 12;
 
-/// Runs a command in a folder. It ends, with all that it started, when this process does, however that ends; what it prints goes into the files `NAME.stdout` and `NAME.stderr`.
+/// Runs a command in a folder; what it prints goes into the files `NAME.stdout` and `NAME.stderr`. It ends, with all that it
+/// started, when this process does, however that ends.
 ///
 /// # Errors
 /// A command that cannot start, or that ends with another code than 0: the command and its last lines.

@@ -9,6 +9,7 @@ use realo_cli::program::beside;
 
 use super::page::Program;
 use super::provenance::sha256;
+use super::recipes;
 
 /// `realo` and `realo-lab`, and a digest of each.
 pub struct Programs {
@@ -69,14 +70,14 @@ fn refuse_stale(program: &Path, root: &Path) -> Result<()> {
         format!("{list}: without this list of cargo nobody knows whether the program is of this tree; build it here")
     })?;
     let (sources, program_shown) = (sources(&text, root), program.display());
-    let is_here = |source: &PathBuf| source.canonicalize().is_ok_and(|source| source.starts_with(root));
-    if !sources.iter().any(is_here) {
-        let other = sources.first().map_or_else(|| list.clone(), PathBuf::clone);
+    let tree = |source: &PathBuf| recipes::root(source.parent()?).ok();
+    if !sources.iter().any(|source| tree(source).as_deref() == Some(root)) {
+        let first = sources.first().unwrap_or(&list);
         bail!(
             "{program_shown}: expected a program that was built from {}, whose commit the page would name, found one that was \
              built from {}: run the `realo-lab` that is built here",
             root.display(),
-            other.display()
+            tree(first).as_ref().unwrap_or(first).display()
         );
     }
     let built = fs::metadata(program)?.modified()?;
@@ -115,6 +116,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         // As the tree is found.
         let root = folder.path().canonicalize().unwrap();
+        fs::create_dir_all(root.join("tools/lab/src/measure/pages")).unwrap();
         let [program, source] = ["realo", "with space.rs"].map(|name| root.join(name));
         fs::write(&program, "").unwrap();
         fs::write(&source, "").unwrap();
@@ -144,7 +146,7 @@ mod tests {
         let error = refuse_stale(&program, &other.path().canonicalize().unwrap())
             .unwrap_err()
             .to_string();
-        for part in [other.path(), &source] {
+        for part in [other.path(), &root] {
             assert!(error.contains(&part.display().to_string()), "{error}");
         }
     }
