@@ -78,6 +78,9 @@ fn a_strategy_says_what_is_special_about_it() {
     for (path, text) in &strategies {
         let lines = text.lines().count();
         assert!(lines <= 25, "{}: {lines} lines", path.display());
+        let flat = FlatGraph::load(path).expect("it can be read");
+        let processes = flat.processes().len();
+        assert!(processes <= 6, "{}: {processes} processes", path.display());
     }
     let modules: Vec<String> = modules.map(|path| read(&path)).collect();
     let texts = strategies.iter().map(|(_, text)| text).chain(&modules);

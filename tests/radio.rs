@@ -185,7 +185,7 @@ fn hybrid_fusion_over_zenoh() {
         "hybrid_fusion",
         "receiver",
         &["sender.step_m=0.01"],
-        &["fusion", "rest"],
+        &["fusion.points", "fusion.rest"],
     );
 }
 

@@ -6,7 +6,7 @@ use super::check::tests::{REGISTRY, assert_found, changed};
 use super::dora_tests::{compare, dora, write};
 use super::{FlatGraph, FlatNode, Graph, OUTSIDE, audit, hosted, validate};
 
-const GRAPH: &str = r#"
+pub(super) const GRAPH: &str = r#"
 strict_types: true
 nodes:
   - id: player
@@ -154,7 +154,7 @@ nodes:
 ";
 
 /// A folder of graphs; `changes` are files in place of, or beside, the sound ones.
-fn folder(changes: &[(&str, &str)]) -> tempfile::TempDir {
+pub(super) fn folder(changes: &[(&str, &str)]) -> tempfile::TempDir {
     let folder = tempfile::tempdir().unwrap();
     let recorded = LANE
         .replace("name: lane", "name: recorded")
@@ -176,7 +176,7 @@ fn folder(changes: &[(&str, &str)]) -> tempfile::TempDir {
     folder
 }
 
-fn load(folder: &Path) -> Result<FlatGraph, String> {
+pub(super) fn load(folder: &Path) -> Result<FlatGraph, String> {
     FlatGraph::load(&folder.join("g.yml")).map_err(|error| error.to_string())
 }
 

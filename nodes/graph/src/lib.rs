@@ -25,6 +25,8 @@ mod dora_tests;
 #[cfg(test)]
 mod host_tests;
 #[cfg(test)]
+mod outlet_tests;
+#[cfg(test)]
 mod types_tests;
 
 use std::path::{Path, PathBuf};

@@ -54,9 +54,7 @@ pub fn module(args: &ModuleArgs) -> Result<Outcome> {
         file: &args.module,
         settings: &settings,
     };
-    dora::run(hosted, &registry())?;
-    let graph = realo_graph::hosted("realo", &args.module, &settings, None, &here)?;
-    report(&graph.nodes, &here)
+    report(&dora::run(hosted, &registry())?, &here)
 }
 
 /// Hosts an operator until its streams end.
@@ -83,8 +81,7 @@ fn stage(word: &str, name: &str, args: &[String]) -> Result<Outcome> {
         .collect();
     let stage = FlatNode::alone(name, &words, &[]);
     demo::make_if_missing(&stage)?;
-    dora::run(Hosted::Stage(&words), &registry())?;
-    report(std::slice::from_ref(&stage), &here)
+    report(&dora::run(Hosted::Stage(&words), &registry())?, &here)
 }
 
 /// Arguments with what the graph's `env` says in place of its names: dora gives it to the process, and leaves arguments alone.

@@ -131,7 +131,11 @@ impl Expansion<'_> {
         let module = self.detection(module);
         self.swapped += usize::from(is_detection(&module));
         let (mut nodes, mut outlets) = self.inside(node, &module, &wrong)?;
-        has_outputs(&outlets, used).map_err(&wrong)?;
+        let of_stages = outputs_of_stages(&nodes, &node.id);
+        has_outputs(&outlets, &of_stages, used).map_err(&wrong)?;
+        for (name, made) in of_stages {
+            outlets.entry(name).or_insert(made);
+        }
         let mut offered = outlets.clone();
         offered.retain(|output, _| node.outputs.contains(output));
         outlets.retain(|output, _| used.contains(output));
@@ -184,15 +188,38 @@ impl Expansion<'_> {
     }
 }
 
-/// Refuses outputs that others take of a host and that its module does not have.
-fn has_outputs(outlets: &Outlets, used: &BTreeSet<String>) -> Result<(), String> {
-    let Some(output) = used.iter().find(|output| !outlets.contains_key(*output)) else {
+/// The outputs of stages under the names that a graph may give them: `STAGE.OUTPUT`. So a process sends an output that its
+/// module does not have, or that several of its stages have.
+fn outputs_of_stages(stages: &[Node], host: &str) -> Outlets {
+    let mut outlets = Outlets::new();
+    for stage in stages {
+        let Some(name) = stage.id.strip_prefix(host).and_then(|inner| inner.strip_prefix('.')) else {
+            continue;
+        };
+        for output in &stage.outputs {
+            outlets.insert(format!("{name}.{output}"), (stage.id.clone(), output.clone()));
+        }
+    }
+    outlets
+}
+
+/// Refuses outputs that others take of a host and that neither its module nor a stage of it has.
+fn has_outputs(outlets: &Outlets, of_stages: &Outlets, used: &BTreeSet<String>) -> Result<(), String> {
+    let is_known = |output: &&String| outlets.contains_key(*output) || of_stages.contains_key(*output);
+    let Some(output) = used.iter().find(|output| !is_known(output)) else {
         return Ok(());
     };
-    let known: Vec<&str> = outlets.keys().map(String::as_str).collect();
-    let hint = crate::error::hint(&nearest_name(output, known.iter().copied()));
-    let known = known.join(", ");
-    Err(format!("its module has no output `{output}`{hint}; it has: {known}"))
+    let names = |outlets: &Outlets| outlets.keys().cloned().collect::<Vec<String>>().join(", ");
+    let known = outlets.keys().chain(of_stages.keys()).map(String::as_str);
+    let hint = crate::error::hint(&nearest_name(output, known));
+    let module = match outlets.is_empty() {
+        true => "it has none".to_string(),
+        false => format!("it has: {}", names(outlets)),
+    };
+    Err(format!(
+        "its module has no output `{output}`{hint}; {module}; its stages, as STAGE.OUTPUT: {}",
+        names(of_stages)
+    ))
 }
 
 /// What `realo host` is asked to run.

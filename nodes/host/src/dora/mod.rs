@@ -93,8 +93,8 @@ pub enum Hosted<'a> {
 }
 
 impl Hosted<'_> {
-    /// The stages, as the graph wires this process.
-    fn stages(self, plan: &Plan, registry: &Registry) -> Result<Stages, String> {
+    /// The stages, as the graph wires this process; and what it says of them.
+    fn stages(self, plan: &Plan, registry: &Registry) -> Result<(Stages, Vec<FlatNode>), String> {
         let here = graph_folder().map_err(|error| error.to_string())?;
         let id = &plan.id;
         let inputs: Vec<String> = plan.inputs.keys().cloned().collect();
@@ -106,14 +106,15 @@ impl Hosted<'_> {
                 for (name, (stage, output)) in graph.hosts.iter().flat_map(|host| &host.outlets) {
                     stages.let_out(name, stage, output)?;
                 }
-                Ok(stages)
+                Ok((stages, graph.nodes))
             }
             Hosted::Stage(words) => {
-                let mut stages = Stages::of(&alone(id, words, &inputs, &here), registry)?;
+                let graph = alone(id, words, &inputs, &here);
+                let mut stages = Stages::of(&graph, registry)?;
                 for name in &plan.outputs {
                     stages.let_out(name, id, name)?;
                 }
-                Ok(stages)
+                Ok((stages, graph.nodes))
             }
         }
     }
@@ -137,11 +138,11 @@ fn alone(id: &str, words: &[String], inputs: &[String], folder: &Path) -> FlatGr
     }
 }
 
-/// Builds stages, joins the dora dataflow that started this process, and runs to the end.
+/// Builds stages, joins the dora dataflow that started this process, and runs to the end; gives what ran.
 ///
 /// # Errors
 /// [`HostError`]; the caller ends the process with a code other than 0, so that the run fails.
-pub fn run(hosted: Hosted, registry: &Registry) -> Result<(), HostError> {
+pub fn run(hosted: Hosted, registry: &Registry) -> Result<Vec<FlatNode>, HostError> {
     // A panic that only unwinds a thread would look like a normal end to the nodes below.
     let print = std::panic::take_hook();
     std::panic::set_hook(Box::new(move |panic| {
@@ -159,7 +160,7 @@ pub fn run(hosted: Hosted, registry: &Registry) -> Result<(), HostError> {
     })?;
     let Plan { id, inputs, .. } = &plan;
     let wrong = |reason| HostError::Wiring { id: id.clone(), reason };
-    let mut stages = hosted.stages(&plan, registry).map_err(wrong)?;
+    let (mut stages, nodes) = hosted.stages(&plan, registry).map_err(wrong)?;
     stages.run_in_realtime();
     let open = stages.open_inputs();
     if !open.is_empty() {
@@ -180,5 +181,6 @@ pub fn run(hosted: Hosted, registry: &Registry) -> Result<(), HostError> {
         froms: inputs.clone(),
         returning: plan.returning.clone(),
         inbox: Inbox::new(events),
-    })
+    })?;
+    Ok(nodes)
 }
