@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use realo_methods::{Model, attfuse, fcooper};
+use realo_nn::model::Sharing;
 
 const LITE: &str = include_str!("../../../models/lite.toml");
 
@@ -54,10 +55,10 @@ fn a_model_that_extends_another_says_what_differs() {
     let mut expected = lite();
     expected.name = "middle".into();
     expected.weights = Some("lite".into());
-    expected.arch = attfuse::Settings {
+    expected.arch = attfuse::Settings(Sharing {
         agents: 3,
         compression: 0,
-    }
+    })
     .into();
     assert_eq!(Model::read(&middle).unwrap(), expected);
     assert_eq!(expected.weights_beside(&middle), [dir.path().join("lite.safetensors")]);

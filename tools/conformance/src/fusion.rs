@@ -98,10 +98,10 @@ fn compressor(vector: &Vector) -> Result<(), String> {
     let tensors = vector.tensors()?;
     let (cells, [_, channels, rows, columns]) = tensors.channels_last("in.x")?;
     let crossing = tensors.shape("mid.encoded")?[1];
-    let arch = fcooper::Settings {
+    let arch = fcooper::Settings(Sharing {
         agents: 1,
         compression: channels / crossing.max(1),
-    };
+    });
     let model = fusing(before(rows, columns, channels)?, arch.into())?;
     let weights = weights_of(&model, &tensors, |key| key.strip_prefix("naive_compressor."))?;
     let layers = Layers::of(&model);

@@ -23,21 +23,8 @@ use realo_training::optimizer::OptimizerSettings;
 use realo_training::{Data, TrainOptions, train};
 use serde_json::json;
 
-const DETECTOR: &str = r#"
-name = "small"
-frame = "body"
-precision = "f32"
-rotations = [0.0, 1.57]
-score_threshold = 0.2
-classes = [
-  { name = "vehicle", length = 3.9, width = 1.6, height = 1.56, z = 0.78, matched = 0.6, unmatched = 0.45 },
-  { name = "truck", length = 8.0, width = 3.0, height = 3.0, z = 1.5, matched = 0.6, unmatched = 0.45 },
-]
-grid = { x = [-51.2, 51.2], y = [-25.6, 25.6], z = [-3.0, 5.0], cell = 0.8 }
-pillars = { channels = 8, points = 16, pillars = 8000, empty_slots = false, intensity = false }
-backbone = { layers = [1, 1], strides = [2, 2], channels = [8, 16], up_strides = [1, 2], up_channels = [8, 8] }
-shrink = [{ kernel = 3, channels = 12 }]
-"#;
+/// The small detector of the tests of training.
+const DETECTOR: &str = include_str!("../../training/tests/small.toml");
 
 const FUSING: &str = "extends = \"small.toml\"\nname = \"fusing\"\n[arch]\nkind = \"toy\"\nagents = 3\n";
 

@@ -15,21 +15,8 @@ use realo_training::optimizer::OptimizerSettings;
 use realo_training::{Data, News, TrainError, TrainOptions, Validation, train, train_with};
 use safetensors::SafeTensors;
 
-const MODEL: &str = r#"
-name = "small"
-frame = "body"
-precision = "f32"
-rotations = [0.0, 1.57]
-score_threshold = 0.2
-classes = [
-  { name = "vehicle", length = 3.9, width = 1.6, height = 1.56, z = 0.78, matched = 0.6, unmatched = 0.45 },
-  { name = "CLASS", length = 8.0, width = 3.0, height = 3.0, z = 1.5, matched = 0.6, unmatched = 0.45 },
-]
-grid = { x = [-51.2, 51.2], y = [-25.6, 25.6], z = [-3.0, 5.0], cell = 0.8 }
-pillars = { channels = 8, points = 16, pillars = 8000, empty_slots = false, intensity = false }
-backbone = { layers = [1, 1], strides = [2, 2], channels = [8, 16], up_strides = [1, 2], up_channels = [8, 8] }
-shrink = [{ kernel = 3, channels = 12 }]
-"#;
+/// A small detector.
+const MODEL: &str = include_str!("small.toml");
 
 /// A fusion behind the small model's encoder.
 const FUSING: &str = r#"
@@ -66,7 +53,7 @@ impl Folder {
 
     fn options(&self, second_class: &str, output: &str) -> TrainOptions {
         let model = self.path("small.toml");
-        fs::write(&model, MODEL.replace("CLASS", second_class)).unwrap();
+        fs::write(&model, MODEL.replace("truck", second_class)).unwrap();
         TrainOptions {
             model,
             from: None,
@@ -146,9 +133,7 @@ fn a_training_begins_with_the_weights_of_a_narrower_network() {
     let from = Some(folder.path("narrow/small.toml"));
     let wider = |name: &str, from_text: &str, to: &str| {
         let model = folder.path(&format!("{name}.toml"));
-        let text = MODEL
-            .replace("CLASS", "truck")
-            .replace("name = \"small\"", &format!("name = \"{name}\""));
+        let text = MODEL.replace("name = \"small\"", &format!("name = \"{name}\""));
         assert!(text.contains(from_text));
         fs::write(&model, text.replace(from_text, to)).unwrap();
         TrainOptions {

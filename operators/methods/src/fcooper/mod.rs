@@ -16,22 +16,10 @@ use crate::method::{Arithmetic, ByCell, Fuse, Method};
 #[cfg(feature = "candle")]
 use crate::tensors::{self, Tensors};
 
-/// Settings in a model file.
-#[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
-#[serde(default, deny_unknown_fields)]
-pub struct Settings {
-    /// Agents that are fused at most, the ego among them.
-    pub agents: usize,
-    /// How many times fewer channels cross than the map has; 0: all of them cross.
-    pub compression: usize,
-}
-
-impl Default for Settings {
-    fn default() -> Self {
-        let Sharing { agents, compression } = Sharing::default();
-        Settings { agents, compression }
-    }
-}
+/// Settings in a model file: those of every fusion of features.
+#[derive(Clone, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(transparent)]
+pub struct Settings(pub Sharing);
 
 impl Method for Settings {
     const NAME: &'static str = "fcooper";
@@ -39,14 +27,11 @@ impl Method for Settings {
     const REFERENCE: Option<&'static str> = Some("PointPillarFCooper");
 
     fn sharing(&self) -> Sharing {
-        Sharing {
-            agents: self.agents,
-            compression: self.compression,
-        }
+        self.0
     }
 
     fn with_compression(self, compression: usize) -> Self {
-        Settings { compression, ..self }
+        Settings(Sharing { compression, ..self.0 })
     }
 
     fn kernel(&self, _: &FuseLayer, _: &Weights, _: Arithmetic) -> Box<dyn Fuse> {
@@ -64,12 +49,11 @@ impl Method for Settings {
     }
 
     fn of_reference(config: &Value, sharing: Sharing) -> Option<Result<Self, String>> {
-        let Sharing { agents, compression } = sharing;
         let is_it = match config["kind"].as_str() {
             Some(kind) => kind.split('_').next() == Some(Self::NAME),
             // The vector of the fusion alone has no settings.
             None => config.as_object().is_none_or(|config| config.is_empty()),
         };
-        is_it.then_some(Ok(Settings { agents, compression }))
+        is_it.then_some(Ok(Settings(sharing)))
     }
 }

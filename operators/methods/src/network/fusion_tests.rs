@@ -2,7 +2,7 @@ use realo_kernels::agents::Agent;
 use realo_kernels::bev::BevMap;
 use realo_kernels::conv::Isa;
 use realo_kernels::warp::Warp;
-use realo_nn::model::{Precision, Shrink};
+use realo_nn::model::{Precision, Sharing, Shrink};
 use realo_nn::weights::Weights;
 
 use super::*;
@@ -47,10 +47,10 @@ fn fusing() -> Vec<Model> {
     vec![
         model(fcooper::Settings::default().into()),
         model(
-            attfuse::Settings {
+            attfuse::Settings(Sharing {
                 agents: 4,
                 compression: 4,
-            }
+            })
             .into(),
         ),
         model(transformer(1, 1, 0).into()),

@@ -1,10 +1,13 @@
 //! The learned compressor: what crosses has a fraction of the map's channels.
 
+use serde::{Deserialize, Serialize};
+
 use super::problems::Problems;
 use crate::layers::{Builder, ConvLayer, MapId};
 
 /// What fusions of features have in common.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(default, deny_unknown_fields)]
 pub struct Sharing {
     /// Agents that are fused at most, the ego among them.
     pub agents: usize,
