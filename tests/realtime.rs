@@ -198,14 +198,17 @@ fn oversleep(stop: &std::sync::atomic::AtomicBool) -> Nanos {
 
 /// Lets the recorder hear what each agent detected by itself.
 const RECORDED: [(&str, &str); 3] = [
-    ("outputs: [packets, state, clouds]", "outputs: [packets, state, boxes]"),
     (
-        "clouds: realo/v1/PointCloud }\n\n  - id: v2x",
+        "outputs: [packets, state, detected.sender.packets]",
+        "outputs: [packets, state, boxes]",
+    ),
+    (
+        "detected.sender.packets: realo/v1/Packet }\n\n  - id: v2x",
         "boxes: realo/v1/Boxes }\n\n  - id: v2x",
     ),
     (
         "truth: player/truth, ego_state",
-        "truth: player/truth, ego_boxes: method.ego/boxes, other_boxes: others/boxes, ego_state",
+        "truth: player/truth, ego_boxes: perception.ego/boxes, other_boxes: others/boxes, ego_state",
     ),
 ];
 

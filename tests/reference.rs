@@ -3,6 +3,8 @@
 use std::path::Path;
 use std::process::Command;
 
+use realo_scoring::{Protocol, SuperClass};
+
 #[test]
 fn the_page_of_all_commands_is_what_the_programs_say() {
     let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/reference/cli.md");
@@ -14,6 +16,24 @@ fn the_page_of_all_commands_is_what_the_programs_say() {
         "{}: written anew by `(realo cli-reference; realo-lab cli-reference) > docs/reference/cli.md`",
         page.display()
     );
+}
+
+#[test]
+fn the_page_of_protocols_has_the_classes_of_shipped_ones() {
+    let page = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../docs/reference/protocols.md");
+    let found = std::fs::read_to_string(&page).unwrap_or_default();
+    let rows = |name: &str| {
+        let protocol = Protocol::load(name).expect("it ships");
+        let row = |class: &SuperClass| format!("| `{name}` | {} | {} |\n", class.name, class.raw.join(", "));
+        protocol.classes.iter().map(row).collect::<String>()
+    };
+    for name in ["default", "dair"] {
+        let expected = rows(name);
+        assert!(found.contains(&expected), "{}: expected\n{expected}", page.display());
+    }
+    for other in ["dair-vehicle", "dair-roadside"] {
+        assert_eq!(rows(other), rows("dair").replace("`dair`", &format!("`{other}`")));
+    }
 }
 
 #[test]

@@ -13,7 +13,12 @@ use crate::{Entry, Log, LogError, LogInfo, LogReader, LogWriter, PeerClock, Stre
 pub struct Merge<'a> {
     logs: &'a [Log],
     clocks: Vec<Known>,
+    /// What is written, by the clock of the first; `None`: all.
+    within: Option<[Nanos; 2]>,
 }
+
+/// Poses are kept for so long before and after the common time: the sweeps at its ends need them.
+const POSES_AROUND: Nanos = 300_000_000;
 
 /// How the times of a log become those of the first.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -80,9 +85,55 @@ impl<'a> Merge<'a> {
         let merge = Merge {
             clocks: clocks(logs, given)?,
             logs,
+            within: None,
         };
         merge.overlap()?;
         Ok(merge)
+    }
+
+    /// The time that all logs have, and the time that any has, by the clock of the first.
+    pub fn spans(&self) -> [[Nanos; 2]; 2] {
+        let spans = (0..self.logs.len()).filter_map(|index| self.span(index));
+        let widest = [[Nanos::MIN, Nanos::MAX], [Nanos::MAX, Nanos::MIN]];
+        spans.fold(widest, |[common, any], [from, until]| {
+            [
+                [common[0].max(from), common[1].min(until)],
+                [any[0].min(from), any[1].max(until)],
+            ]
+        })
+    }
+
+    /// Only what is of the time that all logs have.
+    ///
+    /// # Errors
+    /// [`LogError::Merge`] if there is none.
+    pub fn of_common_time(self) -> Result<Self, LogError> {
+        let [common, _] = self.spans();
+        if common[0] >= common[1] {
+            return Err(LogError::Merge(
+                "there is no time that all logs have; merge fewer logs, or leave the common time out".into(),
+            ));
+        }
+        Ok(Merge {
+            within: Some(common),
+            ..self
+        })
+    }
+
+    /// Whether a message is of the time that is written; by its stamp, which a sweep and its boxes share.
+    fn is_within(&self, stream: Stream, stamp: Nanos) -> bool {
+        let around = match stream {
+            Stream::Pose | Stream::PoseTruth => POSES_AROUND,
+            _ => 0,
+        };
+        let in_it = |[from, until]: [Nanos; 2]| (from - around..=until + around).contains(&stamp);
+        self.within.is_none_or(in_it)
+    }
+
+    /// When the first and the last message of a log were there, by the clock of the first.
+    fn span(&self, index: usize) -> Option<[Nanos; 2]> {
+        let (first, last) = self.logs[index].span()?;
+        Some([first, last].map(|time| time.saturating_add(self.clocks[index].moves(time))))
     }
 
     /// What the times of each log are moved by.
@@ -139,7 +190,11 @@ impl<'a> Merge<'a> {
                 to_seconds(ready.saturating_sub(from)),
                 to_seconds(until.saturating_sub(from).max(0)),
             );
-            parts[index].write(&mut writer)?;
+            let next = parts[index].stream();
+            match next.is_some_and(|(stream, stamp)| self.is_within(stream, stamp)) {
+                true => parts[index].write(&mut writer)?,
+                false => parts[index].leave_out()?,
+            }
         }
         let mut levelled = BTreeMap::new();
         for log in self.logs {
@@ -151,11 +206,8 @@ impl<'a> Merge<'a> {
 
     /// When the last message of all logs was there, by the clock of the first.
     fn until(&self) -> Nanos {
-        let last = |(log, clock): (&Log, &Known)| {
-            let (_, last) = log.span()?;
-            Some(last.saturating_add(clock.moves(last)))
-        };
-        self.logs.iter().zip(&self.clocks).filter_map(last).max().unwrap_or(0)
+        let spans = (0..self.logs.len()).filter_map(|index| self.span(index));
+        spans.map(|[_, last]| last).max().unwrap_or(0)
     }
 
     fn info(&self) -> LogInfo {
@@ -174,16 +226,12 @@ impl<'a> Merge<'a> {
 
     /// Whether every log has a time in common with the first.
     fn overlap(&self) -> Result<(), LogError> {
-        let span = |index: usize| {
-            let (first, last) = self.logs[index].span()?;
-            Some([first, last].map(|time| time.saturating_add(self.clocks[index].moves(time))))
-        };
         for index in 0..self.logs.len() {
             let path = self.logs[index].path().display();
-            let Some([from, until]) = span(index) else {
+            let Some([from, until]) = self.span(index) else {
                 return Err(LogError::Merge(format!("{path} has no messages")));
             };
-            let Some([first, last]) = span(0) else { continue };
+            let Some([first, last]) = self.span(0) else { continue };
             if from > last || until < first {
                 let gap = to_millis(if from > last { from - last } else { first - until }) * 1e-3;
                 return Err(LogError::Merge(format!(
@@ -312,6 +360,19 @@ impl<'a> Part<'a> {
     fn ready(&self) -> Option<Nanos> {
         let ready = self.ahead.as_ref()?.ready();
         Some(ready.saturating_add(self.clock.moves(ready)))
+    }
+
+    /// What its next message is, and its stamp by the clock of the first log.
+    fn stream(&self) -> Option<(Stream, Nanos)> {
+        let entry = self.ahead.as_ref()?;
+        let stamp = entry.stamp();
+        Some((entry.stream, stamp.saturating_add(self.clock.moves(stamp))))
+    }
+
+    /// Goes on without its next message.
+    fn leave_out(&mut self) -> Result<(), LogError> {
+        self.ahead = self.reader.next()?;
+        Ok(())
     }
 
     /// Writes its next message.

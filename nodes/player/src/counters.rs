@@ -310,7 +310,8 @@ pub const TRUTH_PARTIAL: Counter = Counter::log_fault(
 );
 pub const TOO_FAR: Counter = Counter::loss(
     "too_far",
-    "sweeps that were not computed, because as many others as the fusion takes were nearer to the ego (`fused_at_most`)",
-    "sweeps were not computed and do not count as sent, because as many other agents as the fusion takes were nearer to the ego",
+    "sweeps of collaborators that were not played, because the fusion takes fewer agents (`fused_at_most`) and others were nearer to the \
+     ego",
+    "sweeps were not computed and do not count as sent, because the fusion takes fewer agents and others were nearer to the ego",
     "`--set {node}.fused_at_most=null` computes them too",
 );

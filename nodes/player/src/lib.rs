@@ -122,7 +122,7 @@ pub struct Settings {
     /// Whether the log's packets of the collaborators are played, and their sweeps without points.
     #[setting(role = "precomputed")]
     pub precomputed: bool,
-    /// Leaves out sweeps of collaborators than which so many are nearer; null: none; in virtual time over perfect links.
+    /// Plays the sweeps of so many collaborators only, those nearest to the ego; null: of all; in virtual time over perfect links.
     pub fused_at_most: Option<usize>,
     /// Seconds of log time per second, in a realtime run.
     #[setting(default = 1.0, range = 0.0<..=1e6, role = "rate")]

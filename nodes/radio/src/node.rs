@@ -82,6 +82,8 @@ pub struct Radio {
     /// What the network has refused so far.
     counted: Refusals,
     overrun: u64,
+    /// Whether time here began before what comes next.
+    has_begun: bool,
     /// Frames that Zenoh had dropped so far.
     unheard: u64,
     /// Messages that came whole, and that the graph does not take.
@@ -146,6 +148,7 @@ impl Gateway for Radio {
             network: None,
             counted: Refusals::new(),
             overrun: 0,
+            has_begun: false,
             unheard: 0,
             refused: BTreeMap::new(),
             courses: BTreeMap::new(),
@@ -202,6 +205,8 @@ impl Gateway for Radio {
         let unheard = unheard::dropped();
         out.count(&OVERSIZED_FRAMES, "", unheard - self.unheard);
         self.unheard = unheard;
+        // What came before this agent's sensors began waited for them, not for a clock.
+        let has_begun = std::mem::replace(&mut self.has_begun, true);
         let is_skipped = skipped(&taken.events);
         for (event, is_skipped) in taken.events.into_iter().zip(is_skipped) {
             match event {
@@ -211,8 +216,8 @@ impl Gateway for Radio {
                 event => {
                     let waited = match &event {
                         Event::Arrived(from, ..) => Some((from, 0)),
-                        Event::Skipped(from, _) => Some((from, 1)),
-                        Event::Books(..) => None,
+                        Event::Skipped(from, _) if has_begun => Some((from, 1)),
+                        Event::Skipped(..) | Event::Books(..) => None,
                     };
                     if let Some((from, in_vain)) = waited {
                         out.count_of(&NO_CLOCK, from, in_vain, 1);
@@ -229,6 +234,7 @@ impl Gateway for Radio {
             network.leave();
         }
         let now = out.now();
+        self.has_begun = true;
         self.on_wake(now, out)?;
         self.network = None;
         self.count_refused(out);

@@ -17,7 +17,7 @@ pub struct Settings {
     /// Who brings points to the ego's frame: `receiver`, or `sender` (with the ego's newest known state).
     #[setting(role = "project")]
     pub project: Project,
-    /// Whose frame that is, where several agents tell their states; empty: that of the newest state.
+    /// Whose frame that is, where several agents send their states; empty: that of the newest state.
     pub ego: String,
 }
 
@@ -84,7 +84,7 @@ const NO_EGO_STATE: Counter = Counter::loss(
 .quiet_up_to(10);
 const OF_ANOTHER: Counter = Counter::plain(
     "of_another",
-    "states of agents for whom nothing is projected (`projector.ego` names another); they count as superseded",
+    "states of agents for whom nothing is projected, because the setting `ego` names another; they count as superseded",
 );
 
 /// What comes in.

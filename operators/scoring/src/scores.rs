@@ -264,7 +264,7 @@ fn notes(evaluation: &Evaluation, all: &[Vec<Sequence>], seen: &[Vec<Sequence>])
         if !classes.is_empty() && (name == "accuracy" || silent < evaluation.scenes.len()) {
             let classes = classes.join(", ");
             notes.push(format!(
-                "{name}: no object of class {classes} in the scored frames: its AP and mAP are null"
+                "{name}: the scored frames have no object of class {classes}, so there is no AP of it and no mAP over all classes"
             ));
         }
     }

@@ -314,7 +314,10 @@ fn notes_say_what_is_null_and_nothing_else() {
     };
     let cars = || vec![car(10.0, 1.0)];
     let missing = |table: &str| {
-        format!("{table}: no object of class `pedestrian`, `truck` in the scored frames: its AP and mAP are null")
+        format!(
+            "{table}: the scored frames have no object of class `pedestrian`, `truck`, so there is no AP of it and no mAP over all \
+             classes"
+        )
     };
     let silent = |scenes: &str| {
         format!("{scenes} scenes do not say how many points the ego has on each object: left out of accuracy_seen")

@@ -52,7 +52,8 @@ const NOT_DESKEWED: Counter = Counter::loss(
 /// Settings of sync.
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 pub struct Settings {
-    /// Own body as x min, x max, y min, y max in the body frame, m; [] for none.
+    /// Own body as x min, x max, y min, y max in the body frame, m, for all agents alike (`footprint` of the log is not used here); [] for
+    /// none.
     #[setting(default = [OwnBody::V2X_REAL.x, OwnBody::V2X_REAL.y].concat())]
     pub own_body: Vec<f32>,
     /// Whether the agent's motion within a sweep is removed.

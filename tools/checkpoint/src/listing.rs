@@ -186,7 +186,7 @@ impl fmt::Display for Listing {
         let tensors = self.rows.len() - counters;
         write!(
             f,
-            "{tensors} tensors with {numbers} numbers, {counters} counters of batches"
+            "{tensors} tensors with {numbers} numbers; {counters} more count batches of the training and are not used"
         )?;
         if let Some(within) = &self.within {
             write!(f, ", under `{within}`")?;

@@ -19,7 +19,8 @@ pub struct Args {
 enum Source {
     /// DAIR-V2X-C in its original layout, images missing or not
     Dair {
-        /// Folder `cooperative-vehicle-infrastructure`
+        /// The data set's folder `cooperative-vehicle-infrastructure`
+        #[arg(value_name = "FOLDER")]
         dir: PathBuf,
         /// The log to write
         #[arg(short = 'o', long = "output")]

@@ -11,7 +11,7 @@ use realo_cli::{Outcome, Progress};
 use realo_training::data::{Frame, Frames, LeftOut, LoggedData, left_out_once};
 use realo_training::{Data, FRAMES_APART, MAX_GAP_MS, TrainError, frames, quantize, validation_frames};
 
-use crate::train::{print_left_out, scores, seeds};
+use crate::train::{print_left_out, scores, seeds, ways};
 
 /// Finds what bytes stand for in each layer, on simulated frames or logs; says how much AP they cost
 #[derive(clap::Args)]
@@ -87,7 +87,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
     drop(work);
     println!("{} from {} sweeps", quantized.file.display(), quantized.sweeps);
     println!("f32:  {}", scores(&quantized.before));
-    println!("int8: {}", scores(&quantized.after));
+    println!("int8: {}\n{}", scores(&quantized.after), ways(&quantized.after));
     Ok(Outcome::Complete)
 }
 

@@ -173,11 +173,16 @@ fn summary(trained: &Trained, simulated: bool) -> String {
             };
             lines += &format!("{whose}{}\n", scores(&before.score));
         }
-        lines += &format!("after:  {}\n", scores(after));
+        lines += &format!("after:  {}\n{}\n", scores(after), ways(after));
     }
     lines += &format!("{steps} steps: weights in {weights}\n");
     let change = trained.comparison.as_ref().and_then(change);
     lines + &change.map_or(String::new(), |change| format!("{change}\n"))
+}
+
+/// Whether an AP fell, by more than rounding and so that it is seen.
+fn is_worse(was: f64, is: f64) -> bool {
+    is + ROUNDING < was && format!("{is:.3}") != format!("{was:.3}")
 }
 
 /// How the mean AP changed, with the classes that became worse.
@@ -190,7 +195,7 @@ fn change(comparison: &Comparison) -> Option<String> {
     };
     let of_class = |(before, after): (&ClassScore, &ClassScore)| {
         let (was, is) = (before.mean()?, after.mean()?);
-        (is + ROUNDING < was).then(|| format!("{} {was:.3} → {is:.3}", after.name))
+        is_worse(was, is).then(|| format!("{} {was:.3} → {is:.3}", after.name))
     };
     let worse: Vec<String> = before
         .classes
@@ -210,7 +215,8 @@ fn change(comparison: &Comparison) -> Option<String> {
             "This training began with random numbers: begin with those weights (--from), or train far longer (20000 steps)",
         ),
     };
-    Some(match (is + ROUNDING < was, &*worse) {
+    Some(match (is_worse(was, is), &*worse) {
+        (true, "") => format!("WORSE than {than}: {mean}. {remedy}"),
         (true, _) => format!("WORSE than {than}: {mean} ({worse}). {remedy}"),
         (false, "") => format!("not worse than {than}: {mean}"),
         (false, _) => format!("{mean}, but worse: {worse}. A lower --rate, more --steps or more logs may help"),
@@ -294,6 +300,22 @@ fn show(progress: &Progress, far: &realo_training::Progress) {
         let scores = scores(validation);
         progress.beside(|| println!("step {steps}, {pace:.2} s each, {waiting:.2} of it for data: {scores}"));
     }
+}
+
+/// What the ways of a validation are.
+pub(crate) fn ways(validation: &Validation) -> String {
+    let meaning = |way: &str| match way {
+        "alone" => "by the ego's points",
+        "merged" => "by the points of all agents within 70 m in one cloud",
+        "by sender" => "fused, maps of points that senders brought to the ego's frame",
+        _ => "fused, maps that the receiver brought to its frame",
+    };
+    let all = validation.classes.first().map(|class| class.reached.iter());
+    let said = all
+        .into_iter()
+        .flatten()
+        .map(|(way, _)| format!("{way}: {}", meaning(way)));
+    format!("({})", said.collect::<Vec<_>>().join("; "))
 }
 
 pub(crate) fn scores(validation: &Validation) -> String {

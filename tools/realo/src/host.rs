@@ -15,7 +15,7 @@ use crate::{demo, registry, roles};
 pub struct ModuleArgs {
     /// File of the module
     module: String,
-    /// node.key=value: arguments of its stages
+    /// stage.key=value: settings of its stages
     settings: Vec<String>,
 }
 

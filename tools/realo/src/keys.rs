@@ -41,9 +41,9 @@ enum Command {
         #[command(flatten)]
         force: Force,
     },
-    /// Adds agents to a list of those that are trusted
+    /// Adds agents to the list of those whose messages this agent takes
     Trust {
-        /// What `realo keys new` made for others, or other lists
+        /// AGENT.pub of other agents, as `realo keys new` made it there; or other such lists
         #[arg(required = true)]
         public: Vec<PathBuf>,
         /// The list; made where there is none
@@ -65,7 +65,11 @@ pub fn main(args: &Args) -> Result<Outcome> {
                 std::fs::remove_file(&private)?;
                 return Err(error);
             }
-            println!("{}: stays on the machine of {agent}: v2x.key", private.display());
+            println!(
+                "{}: the private key, stays on the machine of {agent}: --set v2x.key={}",
+                private.display(),
+                private.display()
+            );
         }
         Command::Public { key, force } => {
             let own = Own::read(key)?;
@@ -82,7 +86,12 @@ pub fn main(args: &Args) -> Result<Outcome> {
             }
             trusted.write(list)?;
             let names: Vec<&str> = trusted.0.keys().map(|name| &**name).collect();
-            println!("{}: trusts {}: v2x.trust", list.display(), names.join(", "));
+            println!(
+                "{}: agents whose messages are taken: {}; --set v2x.trust={}",
+                list.display(),
+                names.join(", "),
+                list.display()
+            );
         }
     }
     Ok(Outcome::Complete)
@@ -98,7 +107,10 @@ fn write_public(own: &Own, private: &Path) -> Result<()> {
     let agent = &own.agent;
     let public = public_of(own, private);
     own.public().write(&public)?;
-    println!("{}: for the others: realo keys trust {agent}.pub", public.display());
+    println!(
+        "{}: the public key, copy it to the other agents and run there: realo keys trust {agent}.pub",
+        public.display()
+    );
     Ok(())
 }
 

@@ -176,7 +176,7 @@ impl End {
 
 /// Sends back what comes, with the time at which it was here.
 fn answer(args: &Args) -> Result<Outcome> {
-    let end = End::open(args, "answering")?;
+    let end = End::open(args, "listening-end")?;
     eprintln!("realo: answers `realo latency --peer tcp/ADDRESS:PORT --log LOG` until it is stopped");
     loop {
         for event in end.take(Duration::from_millis(100)).events {
@@ -229,7 +229,7 @@ struct Found {
 
 fn measure(args: &Args, peer: &Endpoint, log: &Path) -> Result<Outcome> {
     let messages = messages(args, log)?;
-    let end = End::open(args, "asking")?;
+    let end = End::open(args, "measuring-end")?;
     let until = Instant::now() + MEETING;
     let known = loop {
         let taken = end.take(Duration::from_millis(100));

@@ -19,10 +19,16 @@ pub struct Args {
     #[allow(missing_docs, reason = "clap would print it")]
     #[command(flatten)]
     force: Force,
+    /// Leave out what was recorded before or after the time that all logs have
+    #[arg(long)]
+    common: bool,
     /// What an agent's clock is ahead of the first log's, ms [default: what the agents' radios found]
     #[arg(long, value_name = "AGENT=MS", value_parser = clock)]
     clock: Vec<(String, Nanos)>,
 }
+
+/// Seconds that logs may differ by at their ends without a word.
+const APART: f64 = 0.5;
 
 fn clock(text: &str) -> Result<(String, Nanos), String> {
     let wrong = || format!("expected AGENT=MS, such as rsu1=0, found `{text}`");
@@ -60,7 +66,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
             outcome = Outcome::Partial;
         }
     }
-    let merge = Merge::new(&logs, &args.clock.iter().cloned().collect())?;
+    let mut merge = Merge::new(&logs, &args.clock.iter().cloned().collect())?;
     for (log, moved) in logs.iter().zip(merge.moved()).skip(1) {
         let [first, last] = moved.by.map(to_millis);
         let path = log.path().display();
@@ -71,6 +77,14 @@ pub fn main(args: &Args) -> Result<Outcome> {
                 to_millis(moved.uncertainty)
             ),
         }
+    }
+    let [common, any] = merge.spans().map(|[from, until]| to_millis(until - from) * 1e-3);
+    if args.common {
+        merge = merge.of_common_time()?;
+    } else if any - common > APART {
+        println!(
+            "{common:.1} of {any:.1} s are in all logs; `realo info` names what is missing outside, --common leaves the rest out"
+        );
     }
     let progress = Progress::new("merging", "s of the logs", Some(0.0));
     merge.write_with(&args.output, |done, all| progress.of(done, all))?;

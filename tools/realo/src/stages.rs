@@ -1,7 +1,10 @@
 //! The reference page of all stages, docs/reference/stages.md.
 
+use std::collections::{BTreeMap, BTreeSet};
 use std::fmt::Write;
 
+use eyre::{OptionExt, Result, WrapErr};
+use realo_graph::FlatGraph;
 use realo_operator::{Argument, Class, Meaning, Port, Queue, Registration, Role};
 use serde_json::{Map, Value};
 
@@ -12,8 +15,13 @@ const HEAD: &str = "\
 
 `realo operators --markdown` prints this page; a test compares the two.
 
-A stage is a node of a graph: an *operator*, or a *source*, a *sink* or a *gateway*. Its settings are the `key=value` words behind its
-name; `realo run --set NODE.KEY=VALUE` sets them for one run.
+A stage is an *operator*, or a *source*, a *sink* or a *gateway*, with its settings at its place in a graph. A node of the graph is a
+process and hosts one or more stages. Settings are `key=value` words behind the stage's name in a graph. `realo run --set
+STAGE.KEY=VALUE` sets one for a run.
+
+`STAGE` is the stage's address: the node, then the stage's place in the module that the node hosts. For example,
+`others.sense.localization` is the stage `localization` in the module `sense` of the node `others`. Each section lists the addresses in
+shipped graphs. A wrong address makes `realo run` list those of its graph.
 
 - `latest`: a newer message takes the place of one that waits; else all wait, in order.
 - `joined`: ports that say the same word are given together, message by message of one number.
@@ -22,16 +30,43 @@ name; `realo run --set NODE.KEY=VALUE` sets them for one run.
 - A counter with a *note* is mentioned after a run; one with *exit code 3* makes the run's exit code 3.
 ";
 
+/// Addresses of stages by operator.
+type Addresses = BTreeMap<String, BTreeSet<String>>;
+
 /// The whole page.
-pub fn page() -> String {
+///
+/// # Errors
+/// Shipped graphs that are not there, or cannot be read.
+pub fn page() -> Result<String> {
     let mut text = String::from(HEAD);
+    let addresses = addresses()?;
     for entry in registry().0 {
-        section(&mut text, entry);
+        section(&mut text, entry, addresses.get(entry.name));
     }
-    text
+    Ok(text)
 }
 
-fn section(text: &mut String, entry: &Registration) {
+/// Where stages are in shipped graphs.
+fn addresses() -> Result<Addresses> {
+    let folder = realo_cli::find::checkout().map(|checkout| checkout.join("dataflows"));
+    let folder =
+        folder.ok_or_eyre("no shipped graphs: expected the folder `dataflows` of a checkout of realo; run it there")?;
+    let mut addresses = Addresses::new();
+    for entry in std::fs::read_dir(&folder).wrap_err_with(|| folder.display().to_string())? {
+        let path = entry?.path();
+        if path.extension().is_none_or(|extension| extension != "yml") {
+            continue;
+        }
+        for node in FlatGraph::load(&path)?.nodes {
+            if let Some((_, name)) = node.stage() {
+                addresses.entry(name.into()).or_default().insert(node.id.clone());
+            }
+        }
+    }
+    Ok(addresses)
+}
+
+fn section(text: &mut String, entry: &Registration, addresses: Option<&BTreeSet<String>>) {
     let kind = match entry.role {
         Role::Operator => "Operator",
         Role::Source => "Source",
@@ -39,6 +74,10 @@ fn section(text: &mut String, entry: &Registration) {
         Role::Gateway => "Gateway",
     };
     let _ = write!(text, "\n## {}\n\n{kind}. {}.\n", entry.name, entry.about);
+    if let Some(addresses) = addresses {
+        let addresses: Vec<String> = addresses.iter().map(|address| format!("`{address}`")).collect();
+        let _ = write!(text, "\nIn shipped graphs: {}.\n", addresses.join(", "));
+    }
     if entry.inputs.len() + entry.outputs.len() > 0 {
         *text += "\n| port | types | content |\n|---|---|---|\n";
     }
@@ -141,7 +180,7 @@ mod tests {
 
     #[test]
     fn a_section_has_ports_settings_and_counters() {
-        let page = page();
+        let page = page().unwrap();
         for row in [
             "\n## nms\n\nOperator. Drops ",
             "| in `proposals` | Boxes | Detections in any order, one frame (latest) |",
@@ -167,7 +206,7 @@ mod tests {
 
     #[test]
     fn the_page_has_every_counter() {
-        let page = page();
+        let page = page().unwrap();
         let sections: Vec<&str> = page.split("\n## ").skip(1).collect();
         assert_eq!(sections.len(), registry().0.len());
         for (entry, section) in registry().0.iter().zip(sections) {

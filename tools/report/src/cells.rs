@@ -61,6 +61,14 @@ pub fn count(n: u64) -> String {
     text
 }
 
+/// A count of what should not be; `!` says so where there is any.
+pub fn alarm(n: u64) -> String {
+    match n {
+        0 => count(n),
+        n => format!("! {}", count(n)),
+    }
+}
+
 #[cfg(test)]
 mod tests {
     use super::*;
@@ -69,6 +77,7 @@ mod tests {
     fn writes_numbers_for_readers() {
         let cases = [(0, "0"), (999, "999"), (1000, "1,000"), (1_234_567, "1,234,567")];
         assert!(cases.iter().all(|(n, text)| count(*n) == *text));
+        assert_eq!((alarm(0), alarm(1200)), ("0".into(), "! 1,200".into()));
         assert_eq!((share(1, 3), share(0, 0)), ("0.333".into(), NONE.into()));
         let of = |ms| Spread {
             p50: Some(1.0),

@@ -11,14 +11,14 @@ use realo_results::{Cooperation, Run, Spread};
 use realo_schemas::Kind;
 use realo_scoring::Table;
 
-use crate::cells::{count, spread};
-use crate::columns::OFFLINE;
+use crate::cells::{alarm, count, spread};
+use crate::columns::{OFFLINE, STATE};
 use crate::foot::V2X_REAL;
 use crate::settings::{ISA, MODEL, PRECOMPUTED, PROGRAMS, PROJECT, RATE, SEED, SET, Setting, is_given};
 use objects::{detections, recall};
 use scores::{accuracy, in_the_order_of_v2x_real, intervals, mean_accuracy, seen};
 use times::{ages, latency, steps};
-use traffic::{accounting, kinds, peers, volume};
+use traffic::{accounting, are_states_used, kinds, peers, volume};
 
 /// Rows under a title.
 pub struct Section {
@@ -50,6 +50,13 @@ impl Rows<'_> {
     fn add_counts(&mut self, label: &str, get: impl Fn(&Run) -> Option<u64>) {
         if self.runs.iter().any(|run| get(run).is_some_and(|n| n > 0)) {
             self.add(label, |run| get(run).map(count));
+        }
+    }
+
+    /// The same of what makes the other values of a run doubtful: `!` goes before the number of a run that has some.
+    fn add_alarms(&mut self, label: &str, get: impl Fn(&Run) -> Option<u64>) {
+        if self.runs.iter().any(|run| get(run).is_some_and(|n| n > 0)) {
+            self.add(label, |run| get(run).map(alarm));
         }
     }
 }
@@ -152,7 +159,8 @@ impl Contents<'_> {
             let title = "peers: their clock minus the ego's ± uncertainty, round trip, ms; Mbit/s";
             sections.push(self.section(title, peers));
         }
-        for kind in kinds(self.runs) {
+        let with_states = self.full || are_states_used(self.runs);
+        for kind in kinds(self.runs).into_iter().filter(|kind| with_states || kind != STATE) {
             sections.push(self.section(format!("messages over links: {kind}"), |rows| accounting(rows, &kind)));
         }
         sections
@@ -248,11 +256,11 @@ pub fn classes<'a, T: 'a>(tables: impl Iterator<Item = &'a Table<T>>) -> Vec<Str
 
 /// What makes a score that of a disturbed run stands beside it.
 fn disturbances(rows: &mut Rows) {
-    rows.add_counts("! messages that dora lost", |run| Some(run.result.transport.total_lost));
-    rows.add_counts("! frames without others' truth", |run| {
+    rows.add_alarms("messages that dora lost", |run| Some(run.result.transport.total_lost));
+    rows.add_alarms("frames without others' truth", |run| {
         Some(run.result.counter("truth_not_joined"))
     });
-    rows.add_counts("! frames that were skipped", |run| Some(run.result.frames.key_skipped));
+    rows.add_alarms("frames that were skipped", |run| Some(run.result.frames.key_skipped));
 }
 
 fn frames(rows: &mut Rows, full: bool) {

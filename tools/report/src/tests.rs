@@ -243,7 +243,7 @@ fn the_table_says_what_was_measured() {
         line(&text, "vehicle").contains(&ap(&alone)) && line(&text, "vehicle").ends_with(&ap(&fused)),
         "{text}"
     );
-    assert_eq!(cells(&text, "! messages that dora lost"), ["0", "3"]);
+    assert_eq!(cells(&text, "messages that dora lost"), ["0", "! 3"]);
     assert_eq!(cells(&text, "sweeps of the ego"), ["6", "6"]);
     assert_eq!(cells(&text, "used"), ["–", "6"]);
     assert_eq!(cells(&text, "stale"), ["–", "2"]);

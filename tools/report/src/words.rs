@@ -2,6 +2,13 @@
 
 /// A word and what it means, where a table has it.
 const WORDS: &[(&str, &str)] = &[
+    ("coop", "who may collaborate with the ego"),
+    ("compute", "computing times that virtual time charges"),
+    ("project", "who brings data to the ego's frame, receiver or sender"),
+    ("protocol", "what counts as an object, and what as found"),
+    ("pooled", "scored as one, a run for each log and ego"),
+    ("seed", "of all random draws"),
+    ("isa", "the processor's instructions that networks used"),
     (
         "AP",
         "average precision, from 0 to 1 (best), of the detections of all scored frames sorted by score",
@@ -31,6 +38,8 @@ const WORDS: &[(&str, &str)] = &[
         "stamps apart",
         "how far the stamps of what was fused lie from the ego's: nothing is late in an offline run",
     ),
+    ("Hz of log time", "sweeps that became boxes, for each second of the log"),
+    ("peers", "agents on other machines"),
     ("end to end", "from a sweep's last point to its boxes"),
     ("p50 / p95 / p99", "half, 95 % and 99 % of all are not above it"),
     ("stale", "too old when the ego asked"),

@@ -127,13 +127,13 @@ fn log_info(simulation: &Simulation) -> LogInfo {
         (found, _) => format!(", {found} road users"),
     };
     let source = format!(
-        "realo-lab simulate: {}{}, place {}, seed {}, {} s, phase {:?}{}",
+        "realo-lab simulate: {}{}, place number {}, seed {}, {} s, {}{}",
         place,
         if options.dense { ", dense" } else { "" },
         simulation.place(),
         options.seed,
         options.seconds,
-        options.phase,
+        options.phase.about(),
         users,
     );
     let mut info = LogInfo::new(source.to_lowercase(), agents.collect());

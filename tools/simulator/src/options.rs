@@ -91,6 +91,14 @@ pub enum Phase {
 impl Phase {
     /// All, with their names and what they mean.
     pub const ALL: &[(Phase, &str, &str)] = &[(Phase::Locked, "locked", ""), (Phase::Spread, "spread", "")];
+
+    /// What a reader of a log is told of it.
+    pub fn about(self) -> &'static str {
+        match self {
+            Phase::Locked => "the agents' sweeps start together",
+            Phase::Spread => "the agents' sweeps start apart",
+        }
+    }
 }
 
 /// What a simulation is asked for; everything is derived from it, bit for bit.

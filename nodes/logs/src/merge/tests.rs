@@ -225,3 +225,25 @@ fn logs_that_cannot_be_one_are_refused_with_the_reason() {
     assert!(error.contains("one of the logs that are read"), "{error}");
     assert!(Merge::new(&[], &BTreeMap::new()).is_err());
 }
+
+#[test]
+fn of_logs_that_begin_at_other_times_the_common_time_alone_is_taken() {
+    let rig = Rig::new();
+    let late = 400 * MS;
+    let logs = [rig.log("cav1", 0, vec![]), rig.log("rsu1", 0, vec![])];
+    let given = [("rsu1".to_string(), -late)].into();
+    let merge = Merge::new(&logs, &given).unwrap();
+    let [common, any] = merge.spans();
+    assert_eq!(common, [BEGIN + late, BEGIN + 990 * MS]);
+    assert_eq!(any, [BEGIN, BEGIN + late + 990 * MS]);
+    let target = rig.path("common.mcap");
+    merge.of_common_time().unwrap().write(&target).unwrap();
+    let log = Log::open(&target).unwrap();
+    for agent in ["cav1", "rsu1"] {
+        let stamps: Vec<Nanos> = sweeps(&log, agent).iter().map(|(stamp, ..)| *stamp - BEGIN).collect();
+        assert_eq!(stamps, [4, 5, 6, 7, 8, 9].map(|sweep| sweep * 100 * MS), "{agent}");
+    }
+    let mut poses = log.read_all(&[("cav1", Stream::Pose)]).unwrap();
+    let first = poses.next().unwrap().unwrap();
+    assert_eq!(first.stamp(), BEGIN + 100 * MS, "poses around the sweeps at the ends");
+}

@@ -125,7 +125,7 @@ pub struct Choices {
     /// Seed of the links' jitter and loss
     #[arg(long)]
     pub seed: Option<u64>,
-    /// node.key=value: changes an argument of a node
+    /// stage.key=value: changes a setting of a stage
     #[arg(long)]
     pub set: Vec<String>,
     /// STAGE="program PATH key=value …" or STAGE="operator NAME …": puts another stage in the place of one (docs/reference/plugins.md)

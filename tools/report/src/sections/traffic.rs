@@ -18,6 +18,15 @@ pub(super) fn kinds(runs: &[&Run]) -> Vec<String> {
     kinds
 }
 
+/// Whether states that cross links are of use: where senders project, or something used one.
+pub(super) fn are_states_used(runs: &[&Run]) -> bool {
+    runs.iter().any(|run| {
+        let states = run.result.channels().filter(|(_, kind, _)| *kind == STATE);
+        let mut used = states.filter_map(|(.., books)| Some(books.accounted?.fates.used));
+        run.result.settings.project.contains("sender") || used.any(|used| used > 0)
+    })
+}
+
 /// What all channels of a kind carried together; `None` without any.
 pub(super) fn sum<'a>(channels: impl Iterator<Item = &'a LinkBooks>) -> Option<LinkBooks> {
     channels.cloned().reduce(|mut sum, books| {
@@ -106,8 +115,9 @@ pub(super) fn accounting(rows: &mut Rows, kind: &str) {
         .filter_map(|run| books(run)?.accounted)
         .any(|accounted| accounted.unaccounted != 0)
     {
-        rows.add("  ! unaccounted", |run| {
-            Some(books(run)?.accounted?.unaccounted.to_string())
+        rows.add("  unaccounted", |run| match books(run)?.accounted?.unaccounted {
+            0 => Some(count(0)),
+            differs => Some(format!("! {differs}")),
         });
     }
 }
