@@ -172,7 +172,7 @@ fn tensors_are_listed_with_shape_type_and_epoch() {
     for part in [
         "cls_head.weight                                   [8, 8, 1, 1]   float32",
         "num_batches_tracked",
-        "26 tensors with 836 numbers, 4 counters of batches, under `model_state_dict`, epoch 30",
+        "26 tensors with 836 numbers; 4 more count batches of the training and are not used, under `model_state_dict`, epoch 30",
     ] {
         assert!(said.contains(part), "{part}: {said}");
     }
