@@ -516,8 +516,14 @@ fn results_of_others_and_of_the_run_before_outlive_a_run_that_fails() {
     };
     let before = files();
     let (code, said) = run(&[&args[..], &["--link", "papr"]].concat());
+    assert!(code == Some(1) && said.contains("papr"), "{said}");
+    assert!(files() == before, "what is wrong with the graph is found before");
+    // Found when folders are claimed.
+    let compute = dir.join("compute.toml");
+    fs::write(&compute, "nobody = 5").expect("the file can be written");
+    let (code, said) = run(&[&args[..], &["--compute", &compute.to_string_lossy()]].concat());
     assert_eq!(code, Some(1), "{said}");
-    assert!(said.contains("papr") && said.contains("the run before"), "{said}");
+    assert!(said.contains("nobody") && said.contains("the run before"), "{said}");
     assert!(files() == before, "a run that fails changes nothing of the run before");
 }
 

@@ -381,7 +381,7 @@ fn row_of(name: &str) -> Option<Value> {
         let what = what.as_str().expect("text");
         assert!(what.contains("of the ego's frames") || what.contains("mAP"), "{row}");
         assert!(
-            said.contains(&format!("realo: {name}: ")) && said.contains(what),
+            said.contains(&format!("realo-lab: {name}: ")) && said.contains(what),
             "{said}"
         );
     }

@@ -98,7 +98,10 @@ fn a_command_of_the_car_is_named() {
     let output = lab(["run", "dataflows/late_fusion.yml"]);
     let said = text(&output.stderr);
     assert_eq!(output.status.code(), Some(2), "{said}");
-    assert!(said.contains("`realo-lab run` is `realo run`"), "{said}");
+    assert!(
+        said.contains("realo-lab: `run` is a command of `realo`: run it: "),
+        "{said}"
+    );
 }
 
 /// Files whose names end so.
@@ -180,4 +183,23 @@ fn a_signal_ends_a_training_after_its_step_with_weights_to_go_on_from() {
     // Its steps are not done yet.
     assert_eq!(resumed.status.code(), Some(3), "{}", text(&resumed.stderr));
     assert!(steps() > before, "{before} steps");
+}
+
+#[test]
+fn each_program_names_itself_and_the_other_one_s_commands() {
+    let output = lab(["simulate", "--seed", "1", "--seconds", "0", "-o", "x.mcap"]);
+    let said = text(&output.stderr);
+    assert!(!output.status.success() && said.starts_with("realo-lab: "), "{said}");
+    let said = text(&lab(["rn", "late_fusion"]).stderr);
+    let line = said.strip_prefix("realo-lab: there is no command `rn`; `realo` has `run`: run it: ");
+    assert!(
+        line.is_some_and(|line| line.ends_with("realo run late_fusion\n")),
+        "{said}"
+    );
+    let said = text(&common::realo(["simulate", "--help"]).stderr);
+    let line = said.strip_prefix("realo: `simulate` is a command of `realo-lab`: run it: ");
+    assert!(
+        line.is_some_and(|line| line.ends_with("realo-lab simulate --help\n")),
+        "{said}"
+    );
 }

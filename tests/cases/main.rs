@@ -11,6 +11,7 @@ mod faults;
 mod growth;
 mod life;
 mod plugins;
+mod refused;
 mod scene;
 mod tables;
 mod values;

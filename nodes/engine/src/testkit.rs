@@ -160,7 +160,7 @@ impl FusionCase {
                     .any(|fated| fated.message.seq == seq && fated.message.from == agent);
                 assert!(
                     reported,
-                    "what became of message {seq} of {agent}: `out.used` or `out.tell` says it"
+                    "what became of message {seq} of {agent}: `out.used` or `out.report` says it"
                 );
             }
         }

@@ -173,7 +173,7 @@ nodes:
   - id: cav0
     module: modules/agent.yml
     inputs: { data: { source: src/a, queue_size: 7, input_timeout: 2.5 }, extra: dora/timer/millis/10 }
-    params: { sleep: "1", sleep_more: "$PARAM_SLEEP ${_param.sleep}", Dollar: "$5" }
+    params: { sleep: "1", sleep_more: "$PARAM_SLEEP again=${_param.sleep}", Dollar: "$5" }
     env: { A: "outer", C: "c" }
     build: echo outer
   - id: cav1.x
@@ -274,7 +274,7 @@ fn expands_nasty_modules_to_what_is_written_here() {
         "enc",
         "sleep=1",
         "more=$PARAM_SLEEP",
-        "${_param.sleep}",
+        "again=${_param.sleep}",
         "b=1",
         "no=$PARAM_SLEE",
     ];

@@ -3,6 +3,7 @@
 
 mod hosting;
 mod ports;
+mod quoting;
 mod size;
 mod stages;
 
@@ -239,6 +240,10 @@ impl Expansion<'_> {
                 node.path = Some(path.map_err(|reason| format!("its node `{}`: {reason}", node.id))?);
             }
             node.deploy = node.deploy.or_else(|| outer.deploy.clone());
+            if node.path.as_deref().is_some_and(is_realo) {
+                let check = quoting::check(node.args.as_deref().unwrap_or_default(), &outer.params, self.root);
+                check.map_err(|reason| format!("its node `{}`: {reason}", node.id))?;
+            }
             for (name, value) in &outer.env {
                 node.env.entry(name.clone()).or_insert_with(|| value.clone());
             }

@@ -7,7 +7,7 @@ use std::str::FromStr;
 use serde_yaml::{Mapping, Value};
 
 use super::read::{Node, Part};
-use super::{Graph, GraphError, OUTSIDE, paths};
+use super::{Graph, GraphError, OUTSIDE, params, paths};
 use realo_documents::shown;
 use realo_operator::config::nearest_name;
 use realo_operator::{Registration, Registry};
@@ -259,6 +259,12 @@ impl FlatNode {
     pub fn registration(&self, registry: &Registry) -> Option<&'static Registration> {
         let (word, name) = self.stage().filter(|_| self.is_realo())?;
         registry.find(word, name).ok()
+    }
+
+    /// A setting that names a parameter which nobody gave, and the parameter.
+    pub fn parameter(&self) -> Option<(&str, String)> {
+        let mut settings = self.settings().iter();
+        settings.find_map(|setting| Some((setting.as_str(), params::named(setting).into_iter().next()?)))
     }
 
     /// Changes or adds the argument `key=value`.

@@ -526,6 +526,14 @@ fn refuses_parameters_that_a_module_does_not_name_or_lacks() {
         ),
         ("{ lane: modules/none.yml }", "none.yml"),
         (
+            "{ lane: modules/detect.network.yml nms.threshold=1 nms.threshold=2 }",
+            "`nms.threshold` is set twice, by `nms.threshold=1` and by `nms.threshold=2`",
+        ),
+        (
+            "{ lane: 'modules/detect.network.yml my models/a.toml' }",
+            "parameter `lane`: expected a value and settings",
+        ),
+        (
             "{ lane: 'modules/detect.network.yml \"nmb=program x\"' }",
             "no stage `nmb` (did you mean `nms`?)",
         ),

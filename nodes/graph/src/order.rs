@@ -159,9 +159,7 @@ mod tests {
             error.to_string().contains("no node `bnak` (did you mean `bank`?)"),
             "{error}"
         );
-        let error = Graph::parse("nodes: [{id: a, path: x}, {id: a, path: y}]", Path::new("g.yml"))
-            .unwrap()
-            .expand();
+        let error = Graph::parse("nodes: [{id: a, path: x}, {id: a, path: y}]", Path::new("g.yml"));
         assert!(matches!(error, Err(GraphError::Duplicate { id, .. }) if id == "a"));
     }
 }

@@ -202,11 +202,20 @@ fn read_nodes(place: &Place, value: &Value) -> Result<Vec<Node>, GraphError> {
     let nodes = value
         .as_sequence()
         .ok_or_else(|| place.expected("a list of nodes", value))?;
-    nodes
+    let nodes: Vec<Node> = nodes
         .iter()
         .enumerate()
         .map(|(index, node)| read_node(&place, index, node))
-        .collect()
+        .collect::<Result<_, _>>()?;
+    // Of two modules the nodes inside would collide, of which nobody has written the names.
+    let mut known = BTreeSet::new();
+    match nodes.iter().find(|node| !known.insert(&node.id)) {
+        Some(twice) => Err(GraphError::Duplicate {
+            file: place.file.into(),
+            id: twice.id.clone(),
+        }),
+        None => Ok(nodes),
+    }
 }
 
 fn read_node(place: &Place, index: usize, value: &Value) -> Result<Node, GraphError> {
@@ -397,6 +406,10 @@ mod tests {
             (
                 "nodes: [3]",
                 "the dataflow, nodes, 0: expected a mapping, found the number 3",
+            ),
+            (
+                "nodes: [{id: a, module: x}, {id: b, path: x}, {id: a, module: y}]",
+                "g.yml: two nodes have the id `a`; give one another name",
             ),
             ("nodes: {a: 1}", "expected a list of nodes, found a mapping"),
             (

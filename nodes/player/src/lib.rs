@@ -87,7 +87,7 @@ pub enum Detections {
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 pub struct Settings {
     /// Path of the log.
-    #[setting(default = "../target/realo/demo.mcap", role = "log")]
+    #[setting(default = "../target/realo/demo.mcap", role = "log", filled)]
     pub log: PathBuf,
     /// Name of the ego; empty: the first eligible agent.
     #[setting(role = "ego")]
@@ -128,7 +128,7 @@ pub struct Settings {
     #[setting(default = 1.0, range = 0.0<..=1e6, role = "rate")]
     pub rate: f64,
     /// Passes over the log.
-    #[setting(default = 1, range = 1..)]
+    #[setting(default = 1, range = 1..=1_000_000)]
     pub repeat: u32,
     /// Seconds that are left out at the log's beginning.
     #[setting(range = 0.0..=1e9)]

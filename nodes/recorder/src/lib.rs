@@ -27,7 +27,7 @@ use recording::Recording;
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 pub struct Settings {
     /// Path of the recording; its folder is made.
-    #[setting(default = "recording.mcap", role = "recording")]
+    #[setting(default = "recording.mcap", role = "recording", filled)]
     pub path: PathBuf,
     /// Whether sweeps are recorded too.
     pub clouds: bool,

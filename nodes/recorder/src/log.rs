@@ -16,7 +16,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 pub struct Settings {
     /// Path of the log; its folder is made.
-    #[setting(default = "sensors.mcap", role = "recording")]
+    #[setting(default = "sensors.mcap", role = "recording", filled)]
     pub path: PathBuf,
     /// Whose sensors they are.
     #[setting(role = "ego")]

@@ -19,7 +19,7 @@ use crate::{
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 pub struct Settings {
     /// Folder of the files; an earlier run's files in it are replaced.
-    #[setting(default = "../target/realo/run", role = "out")]
+    #[setting(default = "../target/realo/run", role = "out", filled)]
     pub out: PathBuf,
     /// File with what the result tells of the run (JSON); empty = the graph is named as the folder is.
     #[setting(role = "run_settings")]

@@ -16,6 +16,7 @@ pub struct Computing {
     #[setting(default = AUTO.into(), role = "precision")]
     pub precision: String,
     /// Threads of the network; 0: one for each processor.
+    #[setting(range = 0..=1024)]
     pub threads: usize,
     /// What computes the network: `cpu`, or `cuda` where the build has it.
     #[setting(role = "device")]

@@ -12,9 +12,10 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 pub struct Settings {
     /// The model file; its weights lie beside it.
-    #[setting(default = "../models/lite.toml", role = "model")]
+    #[setting(default = "../models/lite.toml", role = "model", filled)]
     pub model: PathBuf,
     /// Min score of a box; null: the model's.
+    #[setting(range = 0.0..=1.0)]
     pub score_threshold: Option<f32>,
     /// How the network is computed.
     #[setting(flatten)]

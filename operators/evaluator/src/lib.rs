@@ -13,7 +13,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 pub struct Settings {
     /// What counts: `default`, `dair`, `dair-vehicle`, `dair-roadside`, or the path of a protocol file.
-    #[setting(default = "default", role = "protocol")]
+    #[setting(default = "default", role = "protocol", path, filled)]
     pub protocol: String,
 }
 

@@ -16,21 +16,22 @@ const NANOS_PER_MILLI: Nanos = 1_000_000;
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 pub struct Settings {
     /// Max age of what is selected online, ms.
-    #[setting(default = 400)]
+    #[setting(default = 400, range = 0..=3_600_000)]
     pub window_ms: u32,
     /// How long a query waits online for a message that its sender's rhythm announces, ms; 0 = nobody waits.
+    #[setting(range = 0..=3_600_000)]
     pub patience_ms: u32,
     /// Select the nearest stamp within ±50 ms instead of the newest in the window.
     #[setting(role = "offline")]
     pub offline: bool,
     /// How far a stamp may lie after its message's arrival, ms.
-    #[setting(default = 1000)]
+    #[setting(default = 1000, range = 0..=3_600_000)]
     pub ahead_ms: u32,
     /// Other agents that are known at the same time; one more is rejected.
-    #[setting(default = 256, range = 1..)]
+    #[setting(default = 256, range = 1..=1_000_000)]
     pub max_agents: usize,
     /// Agents unheard of for longer are forgotten, ms.
-    #[setting(default = 60_000)]
+    #[setting(default = 60_000, range = 1..=86_400_000)]
     pub forget_ms: u32,
 }
 

@@ -11,7 +11,7 @@ use crate::{Arrivals, Medium, Model, Passed, Profile, transmit};
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 pub struct Settings {
     /// Channel model: `perfect`, `paper`, a .toml or .yml file, or settings: `delay_ms=90,loss=0.05`.
-    #[setting(default = "perfect", role = "link")]
+    #[setting(default = "perfect", role = "link", path)]
     pub profile: String,
     /// Max distance in (x, y) over which packets are sent, m; inclusive.
     #[setting(default = 70.0, range = 0.0..=1e9)]

@@ -27,7 +27,7 @@ pub struct Settings {
     pub ties: Ties,
     /// IoU, at least `threshold`, above which boxes of a class have a say, each by its score, in where a kept one lies; 1 =
     /// none has.
-    #[setting(default = 1.0)]
+    #[setting(default = 1.0, range = 0.0..=1.0)]
     pub vote: f64,
     /// [x min, x max, y min, y max] in m: boxes not all inside are dropped before; [] = none.
     pub region: Vec<f64>,

@@ -24,8 +24,15 @@ pub enum ConfigError {
         known: Vec<String>,
     },
     /// The same key twice.
-    #[error("argument `{0}` is given twice")]
-    Twice(String),
+    #[error("argument `{key}` is given twice, as `{first}` and as `{second}`: keep one")]
+    Twice {
+        /// The key.
+        key: String,
+        /// The first value.
+        first: String,
+        /// The second one.
+        second: String,
+    },
     /// A value that does not fit.
     #[error("argument `{key}`: `{value}` does not fit: {reason}")]
     Value {
@@ -94,13 +101,17 @@ pub fn defaults<C: Serialize + Default>() -> serde_json::Map<String, Value> {
 /// [`ConfigError`] names the key, what was expected and what was found.
 pub fn parse<C: StageSettings>(args: &[String]) -> Result<C, ConfigError> {
     let mut values = defaults::<C>();
-    let mut seen = Vec::new();
+    let mut seen: Vec<(&str, &str)> = Vec::new();
     for arg in args {
         let (key, text) = arg.split_once('=').ok_or_else(|| ConfigError::Form(arg.clone()))?;
-        if seen.contains(&key) {
-            return Err(ConfigError::Twice(key.into()));
+        if let Some((_, first)) = seen.iter().find(|(known, _)| *known == key) {
+            return Err(ConfigError::Twice {
+                key: key.into(),
+                first: first.to_string(),
+                second: text.into(),
+            });
         }
-        seen.push(key);
+        seen.push((key, text));
         let Some(default) = values.get(key) else {
             return Err(ConfigError::Unknown {
                 key: key.into(),
@@ -117,16 +128,33 @@ pub fn parse<C: StageSettings>(args: &[String]) -> Result<C, ConfigError> {
         // One key at a time, so that an error names the key it belongs to.
         let mut one = defaults::<C>();
         one.insert(key.into(), value.clone());
-        serde_json::from_value::<C>(Value::Object(one)).map_err(|error| bad(error.to_string()))?;
+        let read = serde_json::from_value::<C>(Value::Object(one));
+        read.map_err(|error| bad(without_types::<C>(key, &error.to_string())))?;
         values.insert(key.into(), value);
     }
     let settings: C = serde_json::from_value(Value::Object(values)).map_err(|error| ConfigError::Value {
-        key: seen.join(" "),
+        key: seen.iter().map(|(key, _)| *key).collect::<Vec<_>>().join(" "),
         value: args.join(" "),
         reason: error.to_string(),
     })?;
     settings.check()?;
     Ok(settings)
+}
+
+/// What serde expects of a number, in words that name no type of Rust, with the range of the argument.
+fn without_types<C: StageSettings>(key: &str, error: &str) -> String {
+    let of = error.rsplit(' ').next().unwrap_or_default();
+    let what = match of {
+        "f32" | "f64" => "a number",
+        "i8" | "i16" | "i32" | "i64" | "isize" | "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number",
+        _ => return error.into(),
+    };
+    let argument = C::ARGUMENTS.iter().find(|argument| argument.name == key);
+    match argument.and_then(|argument| argument.range) {
+        Some(range) => format!("expected {what}, {range}"),
+        None if of.starts_with('u') => format!("expected {what}, at least 0"),
+        None => format!("expected {what}"),
+    }
 }
 
 fn read_value(default: &Value, text: &str) -> Result<Value, String> {
@@ -136,8 +164,21 @@ fn read_value(default: &Value, text: &str) -> Result<Value, String> {
             let items = text.split(',').map(str::trim).filter(|item| !item.is_empty());
             Ok(Value::Array(items.map(read_yaml).collect::<Result<_, _>>()?))
         }
+        _ if text.trim().is_empty() => {
+            Err("expected a value, found nothing; the default stands where the argument is left out".into())
+        }
+        _ if is_no_number(text) => Err("expected a finite number".into()),
+        _ if text.trim().parse::<f64>().is_ok_and(f64::is_infinite) => {
+            Err("expected a finite number, at most about 1.8e308".into())
+        }
         _ => read_yaml(text),
     }
+}
+
+/// Whether a text is what other languages write for what is no finite number.
+fn is_no_number(text: &str) -> bool {
+    let word = text.trim().trim_start_matches(['+', '-']).to_ascii_lowercase();
+    ["nan", "inf", "infinity"].contains(&word.as_str())
 }
 
 fn read_yaml(text: &str) -> Result<Value, String> {
@@ -165,6 +206,11 @@ mod tests {
         ego: String,
         /// Names.
         agents: Vec<String>,
+        /// A file.
+        model: std::path::PathBuf,
+        /// A name or a file.
+        #[setting(path, filled, default = "perfect")]
+        profile: String,
         /// Time, ms.
         #[setting(range = 1..)]
         window_ms: Option<u32>,
@@ -195,6 +241,8 @@ mod tests {
             threshold: 0.3,
             ego: "7".into(),
             agents: vec!["a".into(), "b".into()],
+            model: "".into(),
+            profile: "perfect".into(),
             window_ms: Some(5),
             part: Part { threads: 3 },
             rate: 1.0,
@@ -212,7 +260,8 @@ mod tests {
         );
         let error = read(&["threshold=many"]).unwrap_err().to_string();
         assert!(error.contains("`threshold`") && error.contains("`many`"), "{error}");
-        assert_eq!(read(&["ego=a", "ego=b"]), Err(ConfigError::Twice("ego".into())));
+        let error = read(&["ego=a", "ego=b"]).unwrap_err().to_string();
+        assert_eq!(error, "argument `ego` is given twice, as `a` and as `b`: keep one");
         assert_eq!(read(&["ego"]), Err(ConfigError::Form("ego".into())));
     }
     #[test]
@@ -229,6 +278,35 @@ mod tests {
                 "window_ms=-.INF",
                 "argument `window_ms`: `-.INF` does not fit: expected a finite number",
             ),
+            (
+                "window_ms=inf",
+                "argument `window_ms`: `inf` does not fit: expected a finite number",
+            ),
+            (
+                "threshold=NaN",
+                "argument `threshold`: `NaN` does not fit: expected a finite number",
+            ),
+            (
+                "window_ms=",
+                "argument `window_ms`: `` does not fit: expected a value, found nothing; the default stands where the argument is left out",
+            ),
+            (
+                "threshold=1e999",
+                "argument `threshold`: `1e999` does not fit: expected a finite number, at most about 1.8e308",
+            ),
+            (
+                "threads=-1",
+                "argument `threads`: `-1` does not fit: expected a whole number, at least 1",
+            ),
+            (
+                "window_ms=99999999999",
+                "argument `window_ms`: `99999999999` does not fit: expected a whole number, at least 1",
+            ),
+            (
+                "threshold=many",
+                "argument `threshold`: `many` does not fit: expected a number, 0 to 1",
+            ),
+            ("profile=", "argument `profile`: expected a value, found nothing"),
             ("window_ms=0", "argument `window_ms`: expected at least 1, found 0"),
             ("threads=0", "argument `threads`: expected at least 1, found 0"),
             ("rate=0", "argument `rate`: expected above 0, up to 8, found 0"),
@@ -254,7 +332,19 @@ mod tests {
         );
         assert_eq!((ego.role, ego.range), (Some("ego"), None));
         let names = Settings::ARGUMENTS.iter().map(|argument| argument.name);
-        let expected = ["threshold", "ego", "agents", "window_ms", "threads", "rate"];
+        let expected = [
+            "threshold",
+            "ego",
+            "agents",
+            "model",
+            "profile",
+            "window_ms",
+            "threads",
+            "rate",
+        ];
         assert_eq!(names.collect::<Vec<_>>(), expected);
+        let paths = Settings::ARGUMENTS.iter().filter(|argument| argument.is_path);
+        let paths: Vec<&str> = paths.map(|argument| argument.name).collect();
+        assert_eq!(paths, ["model", "profile"]);
     }
 }

@@ -14,6 +14,8 @@ pub struct Argument {
     pub range: Option<&'static str>,
     /// What it is to a tool that prepares runs: an open word, such as `model`, that the tool looks for.
     pub role: Option<&'static str>,
+    /// Whether a value may be the path of a file or folder.
+    pub is_path: bool,
 }
 
 impl Argument {
@@ -36,6 +38,7 @@ impl Argument {
             about: "",
             range: None,
             role: None,
+            is_path: false,
         };
         let (mut all, mut filled, mut list) = ([nothing; N], 0, 0);
         while list < lists.len() {

@@ -15,6 +15,8 @@ use syn::{DeriveInput, parse_macro_input};
 /// A field may say `#[setting(default = …, range = …, role = "…")]`, or `#[setting(flatten)]` beside `#[serde(flatten)]`: then its
 /// own settings stand in its place. A default that is not given is the type's own. A range is
 /// one of Rust's with numbers as bounds, or `0.0<..=1.0`, which leaves out its start; `None` is always inside. A role is a word that tools look for.
+/// A `PathBuf` is a path; of a text that may name a file `path` says so. A text or path
+/// that is `filled` is not empty.
 #[proc_macro_derive(Settings, attributes(setting))]
 pub fn settings(input: TokenStream) -> TokenStream {
     let input = parse_macro_input!(input as DeriveInput);

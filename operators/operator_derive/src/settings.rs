@@ -14,6 +14,9 @@ struct Setting<'a> {
     default: TokenStream,
     range: Option<(TokenStream, String)>,
     role: Option<TokenStream>,
+    is_path: bool,
+    /// Whether an empty text is refused.
+    is_filled: bool,
     /// Its type, where that has arguments of its own, which stand in its place.
     part: Option<&'a Type>,
 }
@@ -56,11 +59,13 @@ fn setting(field: &Field) -> Result<Setting<'_>> {
         .ok_or_else(|| Error::new_spanned(field, "expected a name"))?;
     let mut setting = Setting {
         name,
-        is_optional: is_option(&field.ty),
+        is_optional: is_named(&field.ty, "Option"),
         about: doc(&field.attrs, name.span(), "a setting")?,
         default: quote!(::core::default::Default::default()),
         range: None,
         role: None,
+        is_path: is_named(&field.ty, "PathBuf"),
+        is_filled: false,
         part: None,
     };
     for Word { name, value, .. } in words(&field.attrs, "setting")? {
@@ -68,11 +73,13 @@ fn setting(field: &Field) -> Result<Setting<'_>> {
             "default" => setting.default = default(value),
             "range" => setting.range = Some((value.clone(), range_words(&name, &value)?)),
             "role" => setting.role = Some(value),
+            "path" => setting.is_path = true,
+            "filled" => setting.is_filled = true,
             "flatten" => setting.part = Some(&field.ty),
             _ => {
                 return Err(Error::new(
                     name.span(),
-                    "expected `default`, `range`, `role` or `flatten`",
+                    "expected `default`, `range`, `role`, `path`, `filled` or `flatten`",
                 ));
             }
         }
@@ -80,9 +87,9 @@ fn setting(field: &Field) -> Result<Setting<'_>> {
     Ok(setting)
 }
 
-fn is_option(of: &Type) -> bool {
+fn is_named(of: &Type, name: &str) -> bool {
     let Type::Path(path) = of else { return false };
-    path.path.segments.last().is_some_and(|last| last.ident == "Option")
+    path.path.segments.last().is_some_and(|last| last.ident == name)
 }
 
 /// A text becomes what the field is: a `String`, a path, a name.
@@ -152,16 +159,23 @@ fn arguments(settings: &[Setting]) -> TokenStream {
 }
 
 fn argument(setting: &Setting) -> TokenStream {
-    let Setting { name, about, .. } = setting;
+    let Setting {
+        name, about, is_path, ..
+    } = setting;
     let optional = |value: Option<TokenStream>| match value {
         Some(value) => quote!(::core::option::Option::Some(#value)),
         None => quote!(::core::option::Option::None),
     };
-    let range = optional(setting.range.as_ref().map(|(_, words)| quote!(#words)));
+    let words = match (&setting.range, setting.is_filled) {
+        (Some((_, words)), _) => Some(words.as_str()),
+        (None, true) => Some("not empty"),
+        (None, false) => None,
+    };
+    let range = optional(words.map(|words| quote!(#words)));
     let role = optional(setting.role.clone());
     let name = name.to_string();
     quote! {
-        ::realo_operator::Argument { name: #name, about: #about, range: #range, role: #role }
+        ::realo_operator::Argument { name: #name, about: #about, range: #range, role: #role, is_path: #is_path }
     }
 }
 
@@ -190,8 +204,15 @@ fn check(setting: &Setting) -> Option<TokenStream> {
     if setting.part.is_some() {
         return Some(quote!(::realo_operator::StageSettings::check(&self.#name)?;));
     }
-    let (range, words) = setting.range.as_ref()?;
     let key = name.to_string();
+    if setting.is_filled {
+        return Some(quote! {
+            if ::core::convert::AsRef::<::std::ffi::OsStr>::as_ref(&self.#name).is_empty() {
+                return ::core::result::Result::Err(::realo_operator::config::ConfigError::range(#key, "a value", &"nothing"));
+            }
+        });
+    }
+    let (range, words) = setting.range.as_ref()?;
     let range = bounds(range);
     let test = quote! {
         if !::core::ops::RangeBounds::contains(&(#range), found) {
@@ -272,7 +293,7 @@ mod tests {
         assert!(
             error
                 .unwrap_err()
-                .contains("expected `default`, `range`, `role` or `flatten`")
+                .contains("expected `default`, `range`, `role`, `path`, `filled` or `flatten`")
         );
         let error = derived(quote!(
             enum Settings {

@@ -19,7 +19,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 pub struct Settings {
     /// The model file; its weights lie beside it.
-    #[setting(default = "../models/lite.toml", role = "model")]
+    #[setting(default = "../models/lite.toml", role = "model", filled)]
     pub model: PathBuf,
     /// How the network is computed.
     #[setting(flatten)]

@@ -60,10 +60,10 @@ pub struct Settings {
     #[setting(default = true)]
     pub deskew: bool,
     /// How long a sweep waits for its pose, ms.
-    #[setting(default = 100)]
+    #[setting(default = 100, range = 0..=3_600_000)]
     pub patience_ms: u32,
     /// Longest time between or beyond poses that is bridged, ms.
-    #[setting(default = 150)]
+    #[setting(default = 150, range = 0..=3_600_000)]
     pub max_gap_ms: u32,
 }
 

@@ -36,6 +36,7 @@ pub struct Settings {
     #[setting(range = 0.0..=1.0)]
     pub min_confidence: f32,
     /// Bytes that the packet of a feature map may take: its surest cells cross, as many as fit; null = all.
+    #[setting(range = 1..)]
     pub budget_bytes: Option<usize>,
     /// Level at which zstd compresses feature maps and quantised points, -7 the fastest, not 0; null = not at all.
     #[setting(default = Some(1), range = -7..=19)]

@@ -3,6 +3,7 @@
 use std::fs::{self, File};
 use std::path::Path;
 
+use crate::program;
 use eyre::{Result, WrapErr};
 
 /// Where the demo log lies below the folder of a target.
@@ -22,7 +23,7 @@ pub fn make(path: &Path, write: impl FnOnce(&Path) -> Result<()>) -> Result<()> 
     let lock = File::create(&lock_path).wrap_err_with(|| no_demo(&lock_path))?;
     lock.lock().wrap_err_with(|| format!("{}: lock", lock_path.display()))?;
     if !path.exists() {
-        eprintln!("realo: making the demo log {} (once)", path.display());
+        eprintln!("{}: making the demo log {} (once)", program::name(), path.display());
         write(path)?;
     }
     Ok(())

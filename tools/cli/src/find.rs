@@ -2,6 +2,7 @@
 
 use std::path::{Path, PathBuf};
 
+use crate::program;
 use eyre::{Result, bail};
 use realo_operator::config::nearest_name;
 
@@ -17,7 +18,7 @@ pub fn graph(path: &Path) -> Result<PathBuf> {
     let found = named(path, &folders(), GRAPHS);
     match found {
         Some(found) => {
-            eprintln!("realo: {} is {}", path.display(), found.display());
+            eprintln!("{}: {} is {}", program::name(), path.display(), found.display());
             Ok(found)
         }
         None => bail!("{}", unknown(path, &folders(), GRAPHS)),

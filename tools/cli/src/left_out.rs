@@ -1,3 +1,4 @@
+use crate::program;
 use realo_logs::Log;
 
 /// Reports the topics of a log that its copy leaves out.
@@ -10,7 +11,8 @@ pub fn report_left_out(log: &Log) {
     if !left.is_empty() {
         let path = log.path().display();
         eprintln!(
-            "realo: {path}: topics that realo does not read were left out: {}",
+            "{}: {path}: topics that realo does not read were left out: {}",
+            program::name(),
             left.join(", ")
         );
     }

@@ -4,10 +4,12 @@ use std::any::TypeId;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 use std::process::ExitCode;
+use std::sync::OnceLock;
 
 use clap::error::{ContextKind, ContextValue, ErrorKind};
 use clap::{CommandFactory, FromArgMatches};
 use eyre::{Result, bail};
+use realo_operator::config::nearest_name;
 
 use crate::Outcome;
 
@@ -22,13 +24,25 @@ pub struct Elsewhere {
     pub commands: &'static [&'static str],
 }
 
-/// Prepares this process: whoever reads what it prints may stop, and a full disk is an error as others are.
-pub fn begin() {
+/// The name of this program.
+static NAME: OnceLock<&str> = OnceLock::new();
+
+/// The program's name, with which its messages begin.
+pub fn name() -> &'static str {
+    NAME.get().copied().unwrap_or("realo")
+}
+
+/// Prepares the process of the program `own`: whoever reads what it prints may stop, and a full disk is an error as others
+/// are.
+pub fn begin(own: &'static str) {
+    // Nobody begins twice.
+    let _ = NAME.set(own);
     // A file that grows beyond the limit of the process is an error of whoever writes it, as on a full disk.
     let beyond = std::sync::Arc::default();
     if let Err(error) = signal_hook::flag::register(signal_hook::consts::SIGXFSZ, beyond) {
         eprintln!(
-            "realo: cannot handle SIGXFSZ ({error}): a file above `ulimit -f` would end this program without a message"
+            "{}: cannot handle SIGXFSZ ({error}): a file above `ulimit -f` would end this program without a message",
+            name()
         );
     }
     let usual = std::panic::take_hook();
@@ -38,7 +52,7 @@ pub fn begin() {
         if text.starts_with("failed printing to") {
             if !text.contains("Broken pipe") {
                 // Where even this cannot be written, the code says it.
-                let _ = writeln!(std::io::stderr(), "realo: {text}");
+                let _ = writeln!(std::io::stderr(), "{}: {text}", name());
             }
             std::process::exit(Outcome::Failed.exit_code().into());
         }
@@ -52,9 +66,15 @@ pub fn begin() {
 /// Reads the command line, or ends the program with what is wrong with it.
 pub fn parse<P: CommandFactory + FromArgMatches>(elsewhere: &Elsewhere) -> P {
     let command = with_negative_numbers(P::command());
-    let own = command.get_name().to_string();
+    let words: Vec<String> = std::env::args_os()
+        .skip(1)
+        .map(|word| word.to_string_lossy().into_owned())
+        .collect();
+    let known = command.clone();
     let matches = command.try_get_matches().unwrap_or_else(|error| {
-        if let Some(said) = said_of(&error, &own, elsewhere) {
+        let other = called_beside(elsewhere.program);
+        let other = beside(elsewhere.program).is_ok().then_some(other);
+        if let Some(said) = said_of(&error, &known, elsewhere, &words, other.as_deref()) {
             eprintln!("{said}");
             // As clap ends.
             std::process::exit(2);
@@ -64,15 +84,45 @@ pub fn parse<P: CommandFactory + FromArgMatches>(elsewhere: &Elsewhere) -> P {
     P::from_arg_matches(&matches).unwrap_or_else(|error| error.exit())
 }
 
-/// Where a command is that this program does not have.
-fn said_of(error: &clap::Error, own: &str, elsewhere: &Elsewhere) -> Option<String> {
+/// Where a command is that this program does not have: of the other program, or one of its that has a similar name. `words` are
+/// those of the command line, `other` is the other program as it is called, where it is built.
+fn said_of(
+    error: &clap::Error,
+    own: &clap::Command,
+    elsewhere: &Elsewhere,
+    words: &[String],
+    other: Option<&str>,
+) -> Option<String> {
     let ContextValue::String(command) = error.get(ContextKind::InvalidSubcommand)? else {
         return None;
     };
-    let has_it = error.kind() == ErrorKind::InvalidSubcommand && elsewhere.commands.contains(&&**command);
-    let Elsewhere { program, package, .. } = elsewhere;
-    has_it.then(|| {
-        format!("{own}: `{own} {command}` is `{program} {command}`: build it by `cargo build --release -p {package}`")
+    if error.kind() != ErrorKind::InvalidSubcommand {
+        return None;
+    }
+    let Elsewhere {
+        program,
+        package,
+        commands,
+    } = elsewhere;
+    let own_name = own.get_name();
+    let shown = own.get_subcommands().filter(|known| !known.is_hide_set());
+    let known = shown.map(clap::Command::get_name).chain(commands.iter().copied());
+    let nearest = nearest_name(command, known)?;
+    if !commands.contains(&&*nearest) {
+        return None;
+    }
+    let words: Vec<String> = words
+        .iter()
+        .map(|word| quoted(if word == command { &nearest } else { word }))
+        .collect();
+    let line = format!("{} {}", other.unwrap_or(program), words.join(" "));
+    let what = match nearest == *command {
+        true => format!("{own_name}: `{command}` is a command of `{program}`"),
+        false => format!("{own_name}: there is no command `{command}`; `{program}` has `{nearest}`"),
+    };
+    Some(match other {
+        Some(_) => format!("{what}: run it: {line}"),
+        None => format!("{what}: build it by `cargo build --release -p {package}`, then run it: {line}"),
     })
 }
 
@@ -99,7 +149,7 @@ fn with_negative_numbers(command: clap::Command) -> clap::Command {
 /// Says what went wrong, and gives the exit code of a command.
 pub fn end(outcome: Result<Outcome>) -> ExitCode {
     let code = outcome.map(Outcome::exit_code).unwrap_or_else(|error| {
-        eprintln!("realo: {error:#}{}", without_folder());
+        eprintln!("{}: {error:#}{}", name(), without_folder());
         Outcome::Failed.exit_code()
     });
     ExitCode::from(code)
@@ -163,16 +213,29 @@ mod tests {
     };
 
     #[test]
-    fn a_command_of_the_other_program_is_named_with_what_builds_it() {
-        let command = || clap::Command::new("realo").subcommand(clap::Command::new("run"));
-        let error = |words: &[&str]| command().try_get_matches_from(words).unwrap_err();
-        let said = said_of(&error(&["realo", "train", "--steps", "3"]), "realo", &LAB).unwrap();
+    fn a_command_of_the_other_program_is_named_with_what_runs_or_builds_it() {
+        let own = clap::Command::new("realo").subcommands(["run", "render"].map(clap::Command::new));
+        let said = |words: &str, other| {
+            let words: Vec<String> = shlex::split(words).unwrap();
+            let error = own.clone().try_get_matches_from(&words).unwrap_err();
+            said_of(&error, &own, &LAB, &words[1..], other)
+        };
         assert_eq!(
-            said,
-            "realo: `realo train` is `realo-lab train`: build it by `cargo build --release -p realo-lab`"
+            said("realo train --steps 3 -o 'a b'", Some("target/release/realo-lab")).unwrap(),
+            "realo: `train` is a command of `realo-lab`: run it: target/release/realo-lab train --steps 3 -o 'a b'"
         );
-        assert_eq!(said_of(&error(&["realo", "trane"]), "realo", &LAB), None);
-        assert_eq!(said_of(&error(&["realo", "run", "--train"]), "realo", &LAB), None);
+        assert_eq!(
+            said("realo train --help", None).unwrap(),
+            "realo: `train` is a command of `realo-lab`: build it by `cargo build --release -p realo-lab`, then run it: realo-lab train \
+             --help"
+        );
+        assert_eq!(
+            said("realo trane --steps 3", Some("realo-lab")).unwrap(),
+            "realo: there is no command `trane`; `realo-lab` has `train`: run it: realo-lab train --steps 3"
+        );
+        for ours in ["realo rnder", "realo nothing-like-it", "realo run --train"] {
+            assert_eq!(said(ours, None), None, "{ours}");
+        }
     }
 
     #[test]

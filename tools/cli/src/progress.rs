@@ -6,6 +6,7 @@ use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
 use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
+use crate::program;
 use indicatif::{ProgressBar, ProgressStyle};
 
 /// From one line to the next.
@@ -220,7 +221,7 @@ impl State {
         } else {
             format!("; {}", self.more)
         };
-        format!("realo: {}: {far}{pace}{more}", self.what)
+        format!("{}: {}: {far}{pace}{more}", program::name(), self.what)
     }
 }
 

@@ -86,7 +86,7 @@ fn meaning(argument: &Arg) -> String {
         }
         let defaults = argument.get_default_values().iter();
         let defaults: Vec<String> = defaults.map(|value| value.to_string_lossy().into_owned()).collect();
-        if !defaults.is_empty() {
+        if !defaults.is_empty() && !argument.is_hide_default_value_set() {
             let _ = write!(text, " [default: {}]", defaults.join(","));
         }
     }

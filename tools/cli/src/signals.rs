@@ -9,6 +9,7 @@ use eyre::{Report, Result, WrapErr, eyre};
 use signal_hook::consts::{SIGHUP, SIGINT, SIGTERM};
 use signal_hook::iterator::Signals;
 
+use crate::program;
 use crate::unfinished;
 
 /// What helps where no thread can be had.
@@ -98,7 +99,11 @@ fn end(signal: i32, end_all: fn()) {
     if !BEGUN.load(Ordering::SeqCst) {
         // The demo log may be on its way.
         unfinished::remove();
-        eprintln!("realo: ended by {} before anything was run", Ending(signal));
+        eprintln!(
+            "{}: ended by {} before anything was run",
+            program::name(),
+            Ending(signal)
+        );
         std::process::exit(128 + signal);
     }
     end_all();

@@ -4,6 +4,7 @@ use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, Once, PoisonError};
 
+use crate::program;
 use crate::signals::{self, Ending};
 
 /// How names of unfinished files end: of a log, and of packets on their way to one.
@@ -39,7 +40,12 @@ pub fn end_with_signals(target: &Path) {
             let Some(signal) = signals.forever().next() else {
                 return;
             };
-            eprintln!("realo: ended by {}{}", Ending::of(signal), left_of(&remove()));
+            eprintln!(
+                "{}: ended by {}{}",
+                program::name(),
+                Ending::of(signal),
+                left_of(&remove())
+            );
             std::process::exit(128 + signal);
         };
         let _ = std::thread::Builder::new().spawn(wait);

@@ -97,7 +97,7 @@ pub fn run<S: Into<OsString>>(words: impl IntoIterator<Item = S>) -> Result<Outc
 
 /// The whole `main` of the program.
 pub fn main() -> ExitCode {
-    program::begin();
+    program::begin("realo-lab");
     let cli: Cli = program::parse(&CAR);
     program::end(cli.command.run())
 }

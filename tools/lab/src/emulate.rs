@@ -45,8 +45,8 @@ pub struct Args {
     /// Port of the relay
     #[arg(long, default_value_t = 7447)]
     port: u16,
-    /// Names of the machines
-    #[arg(long, value_delimiter = ',', default_values_t = ["car".to_string(), "roadside".to_string()])]
+    /// Names of the machines [default: car,roadside]
+    #[arg(long, value_delimiter = ',', hide_default_value = true, default_values_t = ["car".to_string(), "roadside".to_string()])]
     names: Vec<String>,
 }
 
@@ -82,13 +82,13 @@ pub fn main(args: &Args) -> Result<Outcome> {
             let line = String::from_utf8_lossy(&line);
             let what = line.split_whitespace().next().unwrap_or_default();
             if is_relay && Unit::of(what) == Some(Unit::Share) {
-                eprintln!("realo: {what}: {OF_PACKETS}");
+                eprintln!("realo-lab: {what}: {OF_PACKETS}");
             } else if !obey(&link, &line) {
                 let expected = match Unit::of(what) {
                     Some(unit) => format!("`{what}` and {unit}"),
                     None => "`WHAT NUMBER` (realo-lab emulate --help)".into(),
                 };
-                eprintln!("realo: expected {expected}, found `{}`", line.trim_end());
+                eprintln!("realo-lab: expected {expected}, found `{}`", line.trim_end());
             }
         }
     });
@@ -114,7 +114,7 @@ fn place(args: &Args, names: [&str; 2], link: &Arc<Link>) -> Result<Place> {
                 report_namespaces(names)?;
                 return Ok(Place::Namespaces(machines));
             }
-            Err(error @ linkemu::Error::Nowhere { .. }) => eprintln!("realo: {error}"),
+            Err(error @ linkemu::Error::Nowhere { .. }) => eprintln!("realo-lab: {error}"),
             Err(error) => return Err(error.into()),
         }
     }

@@ -105,7 +105,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
             let log = &Log::open(log)?;
             report_left_out(log);
             if let Some(cut) = log.truncation() {
-                eprintln!("realo: {}: {cut}", log.path().display());
+                eprintln!("realo-lab: {}: {cut}", log.path().display());
                 outcome = Outcome::Partial;
             }
             output

@@ -31,8 +31,8 @@ pub struct Args {
     /// Length of the log
     #[arg(long, required_unless_present = "statistics")]
     seconds: Option<f64>,
-    /// Agents that record
-    #[arg(long, value_delimiter = ',', default_values_t = realo_simulator::AGENTS.map(String::from))]
+    /// Agents that record [default: cav1,cav2,rsu1,rsu2]
+    #[arg(long, value_delimiter = ',', hide_default_value = true, default_values_t = realo_simulator::AGENTS.map(String::from))]
     agents: Vec<String>,
     /// Vehicles that record, instead of --agents; at most 16 agents in all
     #[arg(long, value_name = "COUNT", conflicts_with = "agents")]
@@ -61,8 +61,8 @@ pub struct Args {
     /// Leaves the points out; poses, truth and recorded detections are the same
     #[arg(long)]
     no_clouds: bool,
-    /// Where the place lies in the map: east,north in metres
-    #[arg(long, value_delimiter = ',', num_args = 1, default_values_t = [0.0, 0.0])]
+    /// Where the place lies in the map: east,north in metres [default: 0,0]
+    #[arg(long, value_delimiter = ',', hide_default_value = true, num_args = 1, default_values_t = [0.0, 0.0])]
     map_offset: Vec<f64>,
     /// The vehicles' sensors, dealt out in turn: names of built-in ones, or files that end in .toml
     #[arg(long, value_delimiter = ',', value_name = "SENSOR")]

@@ -21,7 +21,7 @@ pub fn print(logs: &[PathBuf], like: Option<&str>) -> Result<Outcome> {
         let log = Log::open(path)?;
         add(&mut agents, &log, &beams).wrap_err_with(|| format!("{}", path.display()))?;
         if let Some(cut) = log.truncation() {
-            eprintln!("realo: {}: {cut}", path.display());
+            eprintln!("realo-lab: {}: {cut}", path.display());
             outcome = Outcome::Partial;
         }
     }
@@ -31,7 +31,7 @@ pub fn print(logs: &[PathBuf], like: Option<&str>) -> Result<Outcome> {
     println!("{}", table(&agents));
     for (agent, statistics) in &agents {
         if let whole @ 1.. = statistics.whole_sweeps() {
-            eprintln!("realo: {whole} sweeps of {agent} do not lie on rings: --like leaves nothing of them out");
+            eprintln!("realo-lab: {whole} sweeps of {agent} do not lie on rings: --like leaves nothing of them out");
         }
     }
     Ok(outcome)

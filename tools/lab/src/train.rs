@@ -126,7 +126,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
     Ok(match (trained.complete, signals::first()) {
         (true, _) => Outcome::Complete,
         (false, Some(ending)) => {
-            eprintln!("realo: ended by {ending}; --resume goes on from there");
+            eprintln!("realo-lab: ended by {ending}; --resume goes on from there");
             Outcome::Ended(ending.number())
         }
         (false, None) => Outcome::Partial,
@@ -136,7 +136,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
 /// Says what of logs is not learnt from.
 pub(crate) fn print_left_out(left_out: &[LeftOut]) {
     for line in left_out {
-        eprintln!("realo: {line}");
+        eprintln!("realo-lab: {line}");
     }
 }
 

@@ -80,7 +80,7 @@ pub fn command_line() -> clap::Command {
 /// With `default-features = false` it compiles no simulator, and makes no demo log.
 pub fn main_with(own: &[Registration]) -> ExitCode {
     registry::register(own);
-    program::begin();
+    program::begin("realo");
     let cli: Cli = program::parse(&LAB);
     program::end(match cli.command {
         Command::Run(args) => run::main(&args),

@@ -48,6 +48,8 @@ pub fn main(args: &Args) -> Result<Outcome> {
         let scores_nothing = dropped.iter().any(|dropped| dropped.is_all);
         if described.truncated().is_some() || described.has_problems() || scores_nothing {
             outcome = Outcome::Partial;
+        } else if !args.json {
+            println!("  no problems found");
         }
     }
     Ok(outcome)

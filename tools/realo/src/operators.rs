@@ -266,7 +266,9 @@ mod tests {
                 for counter in between(&text, "const ", ": Counter =") {
                     // What comes before is of another constant.
                     let name = counter.rsplit("const ").next().unwrap_or(counter);
-                    if name.chars().all(|c| c.is_ascii_uppercase() || c == '_') {
+                    // The host's own counter, of what any plug-in sends, is in no list of a stage.
+                    let is_of_host = path.ends_with("host/src");
+                    if !is_of_host && name.chars().all(|c| c.is_ascii_uppercase() || c == '_') {
                         known += 1;
                         assert!(
                             listed.contains(&name),

@@ -15,7 +15,7 @@ pub struct Args {
     /// Dataflow files, or names of shipped ones
     #[arg(required = true)]
     graphs: Vec<PathBuf>,
-    /// Look at the graphs alone: start no program to ask for its ports, and load no network
+    /// Start no program to ask for its ports, and load no network: only look whether models and weights are there
     #[arg(long)]
     no_start: bool,
     /// Model file of every detector [default: each node's own]
@@ -42,9 +42,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         }
         if !missing.is_empty() || findings.iter().any(|finding| finding.severity == Severity::Error) {
             outcome = Outcome::Failed;
-        } else if !args.no_start
-            && let Err(error) = crate::run::check_networks(graph, args.model.as_deref())
-        {
+        } else if let Err(error) = networks(graph, args) {
             println!("{}: error: {error:#}", path.display());
             outcome = Outcome::Failed;
         } else if findings.is_empty() {
@@ -54,6 +52,15 @@ pub fn main(args: &Args) -> Result<Outcome> {
         }
     }
     Ok(outcome)
+}
+
+/// What is wrong with the networks and operators of a graph; with `--no-start` no network is loaded.
+fn networks(graph: FlatGraph, args: &Args) -> Result<()> {
+    let model = args.model.as_deref();
+    match args.no_start {
+        true => crate::run::check_files(graph, model),
+        false => crate::run::check_networks(graph, model),
+    }
 }
 
 /// The findings; programs of plug-ins are started over pipes and asked for their ports.

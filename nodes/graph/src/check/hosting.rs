@@ -49,7 +49,16 @@ pub(super) fn stage(
             "`realo operators` prints them",
         );
     }
-    if let Some(arg) = node.settings().iter().find(|arg| variables::named(arg).is_some()) {
+    if let Some((arg, parameter)) = node.parameter() {
+        let mend = format!("write `{parameter}` under the `params` of its module's node");
+        findings.node(
+            Severity::Error,
+            node,
+            "a value for each parameter",
+            format!("`{arg}`"),
+            &mend,
+        );
+    } else if let Some(arg) = node.settings().iter().find(|arg| variables::named(arg).is_some()) {
         let mend = "`$NAME` stands for what the `env` at the graph's head says, in the arguments of the graph's own nodes; a \
                     module's parameter only for what its node sets";
         findings.node(Severity::Warning, node, "values", format!("`{arg}`"), mend);

@@ -12,7 +12,7 @@ const KEYS: &[&str] = &["machine", "working_dir", "labels", "distribute"];
 
 pub(super) fn check(graph: &FlatGraph, findings: &mut Findings) {
     let processes = graph.processes();
-    processes.iter().for_each(|process| keys(process, findings));
+    keys(graph, findings);
     let is_placed = |process: &&FlatNode| ["machine", "labels"].iter().any(|key| process.deployed(key).is_some());
     if !processes.iter().any(is_placed) {
         return;
@@ -31,17 +31,33 @@ pub(super) fn check(graph: &FlatGraph, findings: &mut Findings) {
     }
 }
 
-fn keys(process: &FlatNode, findings: &mut Findings) {
+/// What `deploy` says, of the graph and of each process.
+pub(super) fn keys(graph: &FlatGraph, findings: &mut Findings) {
+    if let Some((expected, found, mend)) = graph.settings.get(DEPLOY).and_then(unknown_key) {
+        findings.whole(Severity::Error, &expected, found, &mend);
+    }
+    graph.processes().iter().for_each(|process| keys_of(process, findings));
+}
+
+/// A key of `deploy` that dora does not read: what is expected, what is there, what to do.
+fn unknown_key(deploy: &Value) -> Option<(String, String, String)> {
+    let written = deploy.as_mapping().into_iter().flatten();
+    let mut written = written.map(|(key, _)| key.as_str().unwrap_or_default());
+    let key = written.find(|key| !KEYS.contains(key))?;
+    let hint = nearest_name(key, KEYS.iter().copied()).map_or(String::new(), |name| format!("did you mean `{name}`?"));
+    Some((
+        format!("a `deploy` with {}", KEYS.join(", ")),
+        format!("`{}`", shown(key)),
+        hint,
+    ))
+}
+
+fn keys_of(process: &FlatNode, findings: &mut Findings) {
     let Some(deploy) = process.other.get(DEPLOY) else {
         return;
     };
-    let written = deploy.as_mapping().into_iter().flatten();
-    let written: Vec<&str> = written.map(|(key, _)| key.as_str().unwrap_or_default()).collect();
-    if let Some(key) = written.iter().find(|key| !KEYS.contains(key)) {
-        let hint =
-            nearest_name(key, KEYS.iter().copied()).map_or(String::new(), |name| format!("did you mean `{name}`?"));
-        let expected = format!("a `deploy` with {}", KEYS.join(", "));
-        findings.node(Severity::Error, process, expected, format!("`{}`", shown(key)), &hint);
+    if let Some((expected, found, mend)) = unknown_key(deploy) {
+        findings.node(Severity::Error, process, expected, found, &mend);
     }
     let is_text = |key| process.deployed(key).is_none_or(Value::is_string);
     if !deploy.is_mapping() || !is_text("machine") || !is_text("working_dir") {

@@ -4,6 +4,7 @@ mod agents;
 mod hosting;
 mod lanes;
 mod machines;
+mod packets;
 mod ports;
 mod processes;
 
@@ -101,6 +102,7 @@ pub fn validate_asking(
     processes::check(graph, &mut findings);
     machines::check(graph, &mut findings);
     agents::check(graph, &stages, &mut findings);
+    packets::check(graph, &stages, &mut findings);
     match graph.ranks(registry) {
         Ok(ranks) => {
             lanes::check(graph, &ranks, &stages, &mut findings);
@@ -116,6 +118,13 @@ pub fn validate_asking(
 pub fn misdeclared(node: &FlatNode, program: &'static Registration) -> Vec<Finding> {
     let mut findings = Findings::default();
     ports::declared(node, Some(program), &mut findings);
+    findings.0
+}
+
+/// What is wrong with where a graph's processes are to run; whoever runs all of them here does not need it, but it was written.
+pub fn misplaced(graph: &FlatGraph) -> Vec<Finding> {
+    let mut findings = Findings::default();
+    machines::keys(graph, &mut findings);
     findings.0
 }
 

@@ -382,6 +382,7 @@ fn a_graph_for_machines_says_of_every_node_where_it_runs() {
     let placed = "path: bin/realo\n    deploy: { machine: compute, working_dir: ../../dataflows }";
     let all = graph(&graph_of_all(placed));
     assert_eq!(validate(&all, &REGISTRY), []);
+    assert_eq!(misplaced(&all), []);
     assert_eq!(all.machines(), ["compute"].into());
     assert!(all.on_one_machine() == graph(GRAPH));
     let but_one = graph(&changed(&graph_of_all(placed), placed, "path: bin/realo"));
@@ -403,6 +404,19 @@ fn a_graph_for_machines_says_of_every_node_where_it_runs() {
     ] {
         assert_found(&graph(&changed(&graph_of_all(placed), from, to)), &[expected]);
     }
+    let whole = changed(
+        GRAPH,
+        "strict_types: true",
+        "strict_types: true\ndeploy: { machin: compute }",
+    );
+    let found = misplaced(&graph(&whole));
+    assert!(
+        found.len() == 1
+            && found[0]
+                .to_string()
+                .starts_with("error: graph: expected a `deploy` with machine"),
+        "{found:?}"
+    );
     // By labels, dora chooses the machine.
     let labels = changed(&graph_of_all(placed), "machine: compute", "labels: { gpu: \"true\" }");
     assert_eq!(findings(&labels), []);
@@ -450,6 +464,32 @@ fn what_a_foreign_node_gives_makes_no_lane_of_what_is_reported_beside_it() {
 
 /// What is written in place of what, and what is found then.
 const CASES: &[(&str, &str, &[&str])] = &[
+    (
+        "{ data: realo/v1/Boxes }",
+        "{ data: realo/v1/FeatureMap }",
+        &[
+            "error: node `decoder`, port `packets`: expected packets of features, as its outputs are typed, found packets of boxes, \
+             which `encoder` sends; the parts of the graph do not fit",
+        ],
+    ),
+    (
+        "{ data: detect/proposals }",
+        "{ data: player/clouds }",
+        &["expected packets of boxes, as its outputs are typed, found packets of points, which `encoder` sends"],
+    ),
+    (
+        "operator transmission-decoder",
+        "operator transmission-decoder kind=points",
+        &["expected a `kind` that is sent: packets of boxes, which `encoder` sends, found kind=points"],
+    ),
+    (
+        "operator nms threshold=0.15",
+        "operator nms threshold=$PARAM_OVERLAP",
+        &[
+            "error: node `ego-nms`: expected a value for each parameter, found `threshold=$PARAM_OVERLAP`; write `overlap` under the \
+             `params`",
+        ],
+    ),
     (
         "strict_types: true",
         "",

@@ -120,7 +120,10 @@ impl Expansion<'_> {
     fn host(
         &mut self,
         node: &Node,
-        Hosted { module, settings }: &Hosted,
+        Hosted {
+            module: named,
+            settings,
+        }: &Hosted,
         used: &BTreeSet<String>,
     ) -> Result<(Vec<Node>, Outlets), GraphError> {
         let wrong = |reason| GraphError::Module {
@@ -128,7 +131,8 @@ impl Expansion<'_> {
             node: node.id.clone(),
             reason,
         };
-        let module = self.detection(module);
+        stages::once_each(settings).map_err(&wrong)?;
+        let module = self.detection(named);
         self.swapped += usize::from(is_detection(&module));
         let (mut nodes, mut outlets) = self.inside(node, &module, &wrong)?;
         let of_stages = outputs_of_stages(&nodes, &node.id);
@@ -148,7 +152,8 @@ impl Expansion<'_> {
             }
         }
         for setting in settings {
-            stages::set(&mut nodes, &node.id, setting).map_err(&wrong)?;
+            let set = stages::set(&mut nodes, &node.id, setting);
+            set.map_err(|reason| wrong(reason + &in_place_of(&module, named)))?;
         }
         let process = Node {
             args: Some(self.host_args(&module, settings).map_err(&wrong)?),
@@ -185,6 +190,17 @@ impl Expansion<'_> {
         let words = ["host", &module].into_iter();
         let words = words.chain(settings.iter().map(String::as_str));
         shlex::try_join(words).map_err(|error| error.to_string())
+    }
+}
+
+/// What explains a stage that is missing where another detection took the place of the one that the graph names.
+fn in_place_of(module: &str, named: &str) -> String {
+    match module == named {
+        true => String::new(),
+        false => format!(
+            "; --recorded-detections has put {module} in the place of {named}: a setting of a stage that only the other has \
+             must go, or --recorded-detections"
+        ),
     }
 }
 

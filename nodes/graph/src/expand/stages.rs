@@ -1,6 +1,6 @@
 //! The stages of a host: which of them run, and what its settings change.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 
 use realo_documents::shown;
 use realo_operator::config::nearest_name;
@@ -8,6 +8,22 @@ use realo_operator::config::nearest_name;
 use super::Outlets;
 use crate::read::Node;
 use crate::{Input, InputSource, error, flat};
+
+/// Refuses two settings of one argument: the second would win without a word.
+pub(super) fn once_each(settings: &[String]) -> Result<(), String> {
+    let mut known: BTreeMap<&str, &str> = BTreeMap::new();
+    for setting in settings {
+        let key = setting.split_once('=').map_or(setting.as_str(), |(key, _)| key);
+        if let Some(first) = known.insert(key, setting) {
+            let [first, second] = [first, setting].map(shown);
+            return Err(format!(
+                "`{}` is set twice, by `{first}` and by `{second}`: keep one",
+                shown(key)
+            ));
+        }
+    }
+    Ok(())
+}
 
 /// Keeps the stages that this process needs, each with the inputs that a setting gives it.
 pub(super) fn choose(

@@ -1,5 +1,7 @@
 //! The driver's side: one running program.
 
+mod boxes;
+mod relay;
 mod words;
 
 use std::process::{Child as Process, ChildStdin, ChildStdout, Command};
@@ -20,6 +22,7 @@ use realo_operator::{AnyOperator, Counts, Error, Made, Outputs, PortId, Registra
 
 use super::guard::Guard;
 use crate::virtual_time::is_ending;
+use relay::Relay;
 use words::{listen, missing_module};
 
 /// How long a program may take to exit once it has nothing left to do, and to say why it failed.
@@ -141,8 +144,8 @@ impl Child {
         let (calls, written) = calls_on(stdin, memory);
         let said = Arc::new(Mutex::new(Vec::new()));
         let listener = std::thread::spawn({
-            let said = said.clone();
-            move || listen(stderr, &said)
+            let (said, node) = (said.clone(), node.to_string());
+            move || listen(stderr, &said, Relay::to(std::io::stderr(), &node))
         });
         let mut child = Child {
             node: node.into(),
@@ -288,12 +291,14 @@ impl Child {
 
     /// Hands a reply on; gives the operator's error.
     fn take(&self, reply: Reply, out: &mut Outputs) -> Result<Option<String>, Failure> {
-        let sent = reply.sent.into_iter().map(|(name, message)| {
+        let sent = reply.sent.into_iter().map(|(name, mut message)| {
             let port = self.output(&name, &message)?;
+            boxes::take_out(&mut message, out);
             Ok((port, message))
         });
+        let sent = sent.collect::<Result<_, String>>()?;
         out.take_over(Made {
-            sent: sent.collect::<Result<_, String>>()?,
+            sent,
             wakes: reply.wakes.into_iter().collect(),
             counts: Counts {
                 counters: reply.counts.into_iter().map(|(name, n)| (name.into(), n)).collect(),

@@ -512,6 +512,9 @@ fn levels_that_zstd_does_not_have_are_refused() {
             .err()
             .unwrap()
             .to_string();
-        assert!(error.contains("`zstd`: expected") && error.contains("-7 to 19"), "{error}");
+        assert!(
+            error.contains("`zstd`: expected") && error.contains("-7 to 19"),
+            "{error}"
+        );
     }
 }

@@ -306,7 +306,7 @@ impl Faults {
         let lines: Vec<String> = broken
             .map(|row| format!("{}: {}", row.fault, row.broken.join("; ")))
             .collect();
-        lines.iter().for_each(|line| eprintln!("realo: {line}"));
+        lines.iter().for_each(|line| eprintln!("realo-lab: {line}"));
         if lines.is_empty() {
             Outcome::Complete
         } else {

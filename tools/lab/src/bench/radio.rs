@@ -106,7 +106,7 @@ struct Came {
 pub fn bench(seconds: f64, only: &str, loopback: bool, progress: &Progress) -> Result<Radio> {
     let relays = loopback
         || Ground::find()
-            .inspect_err(|error| eprintln!("realo: {error}; a relay on loopback takes their place"))
+            .inspect_err(|error| eprintln!("realo-lab: {error}; a relay on loopback takes their place"))
             .is_err();
     let all = if relays {
         over_relay(seconds)

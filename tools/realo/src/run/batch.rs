@@ -112,7 +112,7 @@ impl Batch {
         let mut changed = Vec::new();
         for (number, plan) in self.plans.iter().enumerate() {
             if resume {
-                match resume::earlier(plan) {
+                match resume::earlier(plan)? {
                     resume::Earlier::Same => {
                         self.taken.insert(number);
                         continue;

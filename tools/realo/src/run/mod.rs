@@ -3,6 +3,7 @@
 mod batch;
 mod choices;
 mod compute;
+mod decisions;
 mod described;
 mod dora;
 mod folders;
@@ -27,8 +28,8 @@ use clap::ValueEnum;
 use eyre::{Report, Result, WrapErr, bail, eyre};
 use realo_cli::signals::{self, Ending};
 use realo_cli::{find, one_of};
-use realo_graph::{FlatGraph, FlatNode};
-use realo_operator::Role;
+use realo_graph::FlatGraph;
+use realo_operator::{Registration, Role};
 use realo_player::Coop;
 use realo_results::{Run, RunResult};
 use realo_stages::Project;
@@ -214,13 +215,47 @@ pub fn check_networks(mut graph: FlatGraph, model: Option<&Path>) -> Result<()> 
     check_nodes(&graph)
 }
 
+/// The same without loading a network: looks whether models and weights are there.
+///
+/// # Errors
+/// A model or weights that are not there, a value that a node does not take.
+pub fn check_files(mut graph: FlatGraph, model: Option<&Path>) -> Result<()> {
+    nodes::anchor_paths(&mut graph)?;
+    networks::find_all(&graph, model)?;
+    check_nodes(&graph)
+}
+
 /// Has every node say what keeps it from a run, before its process does.
 ///
 /// # Errors
 /// What all those say.
 fn check_nodes(graph: &FlatGraph) -> Result<()> {
+    says(graph, |known, settings| match known.role {
+        Role::Operator => build(known, settings),
+        Role::Source | Role::Sink | Role::Gateway => (known.examine)(settings),
+    })
+}
+
+/// The same of operators alone, which need no log.
+fn check_operators(graph: &FlatGraph) -> Result<()> {
+    says(graph, |known, settings| match known.role {
+        Role::Operator => build(known, settings),
+        Role::Source | Role::Sink | Role::Gateway => Ok(()),
+    })
+}
+
+/// Builds an operator; networks are looked at once for all, and all else opens files and sockets.
+fn build(known: &Registration, settings: &[String]) -> Result<(), realo_operator::Error> {
+    match known.argument(roles::MODEL) {
+        Some(_) => Ok(()),
+        None => (known.build)(settings).map(drop),
+    }
+}
+
+/// Asks every node of ours.
+fn says(graph: &FlatGraph, ask: impl Fn(&Registration, &[String]) -> Result<(), realo_operator::Error>) -> Result<()> {
     let errors = graph.nodes.iter().filter_map(|node| {
-        let error = check_node(node).err()?;
+        let error = ask(node.registration(&registry())?, node.settings()).err()?;
         Some(format!("node `{}`: {error}", node.id))
     });
     let errors: Vec<String> = errors.collect();
@@ -230,18 +265,9 @@ fn check_nodes(graph: &FlatGraph) -> Result<()> {
     }
 }
 
-/// Builds an operator; networks are looked at once for all, and all else opens files and sockets.
-fn check_node(node: &FlatNode) -> Result<(), realo_operator::Error> {
-    match node.registration(&registry()) {
-        Some(known) if known.role != Role::Operator => (known.examine)(node.settings()),
-        Some(known) if known.argument(roles::MODEL).is_none() => (known.build)(node.settings()).map(drop),
-        _ => Ok(()),
-    }
-}
-
 /// Processes whose program is not there, and is not this one.
 pub fn missing_programs(graph: &FlatGraph) -> Vec<String> {
-    let is_missing = |process: &&FlatNode| {
+    let is_missing = |process: &&realo_graph::FlatNode| {
         let named_by_path = process.path.components().count() > 1;
         !process.is_realo() && named_by_path && !process.path.exists()
     };

@@ -9,7 +9,7 @@ use realo_graph::{FlatGraph, FlatNode, InputSource};
 use realo_methods::Model;
 use realo_methods::{AUTO, Kernels, Loaded};
 
-use super::nodes::{argument, decided_argument, deciding, registration};
+use super::nodes::{argument, decided_argument, deciding, registration, set_model};
 
 /// A network that was looked at; as long as it is kept, whoever loads it too shares it.
 struct Known {
@@ -38,6 +38,41 @@ pub struct Words {
     pub kernels: String,
 }
 
+/// Looks for a model file and its weights.
+fn find(path: &Path) -> Result<()> {
+    if !path.exists() {
+        bail!("{}: no such model file; --model FILE names another one", path.display());
+    }
+    let weights = Model::read(path)?.weights_beside(path);
+    if let Some(weights) = weights.iter().find(|weights| !weights.exists()) {
+        bail!(
+            "{}: this model has no weights, {} is not there, the file that its `name`, `weights` or `encoder` names: \
+             `realo-lab checkpoint convert` makes them of a PyTorch checkpoint, `realo-lab train` trains detectors and V2X-ViT's fusion; \
+             --model FILE, or --set NODE.model=FILE, names a model that has some",
+            path.display(),
+            weights.display()
+        );
+    }
+    Ok(())
+}
+
+/// Looks for the models of a graph whose paths are absolute, and for their weights; loads none. `model` is that of all.
+///
+/// # Errors
+/// What is not there, or a file that is no model; each names the node.
+pub fn find_all(graph: &FlatGraph, model: Option<&Path>) -> Result<()> {
+    let mut graph = graph.clone();
+    if let Some(model) = model {
+        set_model(&mut graph, model)?;
+    }
+    for node in deciding(&graph, roles::MODEL) {
+        if let Some(path) = decided_argument(node, roles::MODEL).and_then(|key| argument(node, key)) {
+            find(Path::new(&path)).wrap_err_with(|| format!("node `{}`", node.id))?;
+        }
+    }
+    Ok(())
+}
+
 /// The networks that were looked at, by model file, `isa` and `precision`; runs over many logs have the same ones.
 #[derive(Default)]
 pub struct Networks(BTreeMap<(PathBuf, String, String), Known>);
@@ -46,18 +81,7 @@ impl Networks {
     fn known(&mut self, path: &Path, isa: &str, precision: &str) -> Result<&Known> {
         let key = (path.to_path_buf(), isa.to_string(), precision.to_string());
         if !self.0.contains_key(&key) {
-            if !path.exists() {
-                bail!("{}: no such model file; --model FILE names another one", path.display());
-            }
-            let weights = Model::read(path)?.weights_beside(path);
-            if let Some(weights) = weights.iter().find(|weights| !weights.exists()) {
-                bail!(
-                    "{}: this model has no weights, {} is not there, the file that its `name`, `weights` or `encoder` names: \
-                     `realo-lab checkpoint convert` makes them of a PyTorch checkpoint, `realo-lab train` trains detectors and V2X-ViT's fusion; --model FILE, or --set NODE.model=FILE, names a model that has some",
-                    path.display(),
-                    weights.display()
-                );
-            }
+            find(path)?;
             let kernels = Kernels {
                 isa,
                 precision,

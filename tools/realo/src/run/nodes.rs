@@ -104,8 +104,7 @@ pub fn keys(node: &FlatNode) -> BTreeSet<String> {
 }
 
 /// Makes the paths in a graph's arguments and in their defaults absolute: it may be started from another folder than its
-/// own, from which they are seen. A value that begins with `./` or `../` is one, and one with a `/` or an ending where there is such
-/// a file; the model of a network and the program of a plug-in always.
+/// own, from which they are seen.
 pub fn anchor_paths(graph: &mut FlatGraph) -> Result<()> {
     let folder = std::path::absolute(graph.file.parent().unwrap_or(Path::new(".")))?;
     for node in &mut graph.nodes {
@@ -113,13 +112,9 @@ pub fn anchor_paths(graph: &mut FlatGraph) -> Result<()> {
             let path = normalized(&folder.join(program));
             node.set_program(&path.to_string_lossy());
         }
-        let model = decided_argument(node, roles::MODEL);
+        let known = registration(node);
         for key in keys(node) {
-            let is_path = |value: &String| {
-                is_relative_path(value)
-                    || model == Some(key.as_str())
-                    || (is_like_path(value) && folder.join(value).is_file())
-            };
+            let is_path = |value: &String| is_path(known, &key, value, &folder);
             if let Some(path) = argument(node, &key).filter(is_path) {
                 node.set(&key, &normalized(&folder.join(path)).to_string_lossy());
             }
@@ -128,13 +123,48 @@ pub fn anchor_paths(graph: &mut FlatGraph) -> Result<()> {
     Ok(())
 }
 
-/// Whether a value could be the name of a file.
-pub fn is_like_path(value: &str) -> bool {
+/// Whether the value of a setting is a path that is seen from `folder`. One that begins with `./` or `../` is, and one with a
+/// `/` or an ending where something has that name; the model of a network always. A stage says which of its settings are
+/// paths. A program (`known` is `None`) does not; there all may be but numbers.
+pub fn is_path(known: Option<&Registration>, key: &str, value: &str, folder: &Path) -> bool {
+    let may_be = match known {
+        Some(known) => known
+            .arguments
+            .iter()
+            .any(|argument| argument.name == key && argument.is_path),
+        None => value.parse::<f64>().is_err(),
+    };
+    let is_relative = value.starts_with("./") || value.starts_with("../");
     let path = Path::new(value);
-    path.components().count() > 1 || path.extension().is_some()
+    let is_there = || (path.components().count() > 1 || path.extension().is_some()) && folder.join(path).exists();
+    let is_model = || known.and_then(|known| known.argument(roles::MODEL)) == Some(key);
+    may_be && (is_relative || is_model() || is_there())
 }
 
-/// Whether a value is a path that is seen from somewhere.
-pub fn is_relative_path(value: &str) -> bool {
-    value.starts_with("./") || value.starts_with("../")
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_number_is_no_path_wherever_a_file_has_its_name() {
+        let folder = tempfile::tempdir().unwrap();
+        for name in ["0.2", "a.toml"] {
+            std::fs::write(folder.path().join(name), "").unwrap();
+        }
+        let find = |word, name| registry().find(word, name).ok();
+        let cases = [
+            (find("operator", "nms"), "threshold", "0.2", false),
+            (find("operator", "nms"), "threshold", "a.toml", false),
+            (find("operator", "link"), "profile", "a.toml", true),
+            (find("operator", "link"), "profile", "b.toml", false),
+            (find("operator", "link"), "profile", "./b.toml", true),
+            (find("operator", "pillar-encoder"), "model", "lite", true),
+            (find("node", "player"), "ego", "./cav1", false),
+            (None, "overlap", "0.2", false),
+            (None, "weights", "a.toml", true),
+        ];
+        for (known, key, value, expected) in cases {
+            assert_eq!(is_path(known, key, value, folder.path()), expected, "{key}={value}");
+        }
+    }
 }

@@ -1,25 +1,21 @@
 //! From options to runs: which graph, log and ego, with which arguments, and where results go.
 
-use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use eyre::{Report, Result, WrapErr, bail, eyre};
-use realo_graph::{FlatGraph, FlatNode, Graph, Setting, Severity, normalized};
+use realo_graph::{FlatGraph, Graph, Setting, Severity, normalized};
 use realo_host::ComputeProfile;
-use realo_logs::{AgentKind, LaneStage, Log, Stream};
+use realo_logs::{LaneStage, Log};
 use realo_player::PlannedRun;
 use realo_results::scoring::Protocol;
 use realo_results::{GraphStages, RunSettings, Settings};
 
 use super::batch::{Batch, Unplayable};
+use super::decisions::Decisions;
 use super::lane::{self, SendingLane};
-use super::limit::PERFECT;
-use super::networks::Networks;
-use super::nodes::{
-    anchor_paths, argument, can_project, decide, decided_argument, deciding, given, is_like_path, is_relative_path,
-    set_model, takers, values,
-};
-use super::{Args, Mode, choices, compute, described, dir_of, limit, named, replace, resume};
+use super::networks::{self, Networks};
+use super::nodes::{anchor_paths, argument, decided_argument, deciding, given, is_path, registration, takers, values};
+use super::{Args, Mode, choices, compute, described, dir_of, limit, replace, resume};
 use crate::fit::protocol_fits;
 use crate::{demo, registry, roles};
 
@@ -91,8 +87,8 @@ const OWNED: &[(&str, &str)] = &[
 /// # Errors
 /// Options that no run can follow; logs of which none can be played.
 pub fn batch(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Batch> {
-    let set = settings(args)?;
-    let graph = base_graph(args, &set, path)?;
+    let mut set = settings(args)?;
+    let graph = base_graph(args, &mut set, path)?;
     if mode == Mode::Realtime {
         report_machines(&graph, path);
     }
@@ -105,6 +101,8 @@ pub fn batch(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Batch> 
             path.display()
         );
     }
+    // Making the demo log takes long; what a network lacks is known before.
+    networks::find_all(&graph, args.choices.model.as_deref())?;
     let logs = logs(args, &graph)?;
     distinct(&logs)?;
     let mut planner = Planner {
@@ -249,11 +247,12 @@ impl Planner<'_> {
         }
         refuse_to_overwrite(&graph, &self.logs)?;
         check(&graph)?;
-        if self.mode == Mode::Realtime {
-            // In virtual time nothing is started before all are built.
-            let checked = super::check_nodes(&graph);
-            checked.map_err(|error| eyre!("{} cannot run:\n  {error}", self.graph.file.display()))?;
-        }
+        let checked = match self.mode {
+            Mode::Realtime => super::check_nodes(&graph),
+            // In virtual time the others are built before anything is started.
+            Mode::Virtual => super::check_operators(&graph),
+        };
+        checked.map_err(|error| eyre!("{} cannot run:\n  {error}", self.graph.file.display()))?;
         Ok(graph)
     }
 }
@@ -300,9 +299,9 @@ pub struct LaneRun {
 /// # Errors
 /// As [`batch`]; a graph in which nobody sends what is made of sweeps.
 pub fn lane(args: &Args) -> Result<LaneRun> {
-    let set = settings(args)?;
+    let mut set = settings(args)?;
     let path = &realo_cli::find::graph(&args.graphs[0])?;
-    let base = base_graph(args, &set, path)?;
+    let base = base_graph(args, &mut set, path)?;
     let compute = args
         .compute
         .as_deref()
@@ -327,7 +326,8 @@ pub fn lane(args: &Args) -> Result<LaneRun> {
         log: &log,
         ego: args.ego.as_deref().unwrap_or_default(),
         coop: realo_player::Coop::All.as_str(),
-        out: Path::new(""),
+        // Nothing is written there.
+        out: Path::new("results"),
     };
     let (graph, settings) = decisions.to(&base, &set)?;
     if args.choices.project.is_some() && settings.project.is_empty() {
@@ -358,24 +358,16 @@ pub fn nobody_projects(graphs: &str) -> Report {
     eyre!("--project: no {node} of {graphs} gets the ego's states, so no sender can project")
 }
 
-/// A `--set`; a path in it, and the name of a file that is there, is seen from where the user is.
-fn setting(text: &str) -> Result<Setting> {
-    let mut setting: Setting = text.parse()?;
-    let is_file = is_like_path(&setting.value) && Path::new(&setting.value).exists();
-    if setting.key == "model" || is_relative_path(&setting.value) || is_file {
-        setting.value = std::path::absolute(&setting.value)?.to_string_lossy().into_owned();
-    }
-    Ok(setting)
-}
-
 /// What `--set` says.
 fn settings(args: &Args) -> Result<Vec<Setting>> {
     let mut set = args.choices.set.clone();
     choices::settle(&mut set);
-    set.iter().map(|text| setting(text)).collect()
+    set.iter().map(|text| Ok(text.parse()?)).collect()
 }
 
-fn base_graph(args: &Args, set: &[Setting], path: &Path) -> Result<FlatGraph> {
+/// The graph of a file with what the options put into it. Paths that are set become absolute: they are seen from where the
+/// user is.
+fn base_graph(args: &Args, set: &mut [Setting], path: &Path) -> Result<FlatGraph> {
     let graph = Graph::load(path)?;
     let graph = if args.choices.recorded_detections {
         graph.with_detection("recorded")
@@ -384,6 +376,7 @@ fn base_graph(args: &Args, set: &[Setting], path: &Path) -> Result<FlatGraph> {
     };
     let mut flat = graph.expand()?;
     replace::apply(&mut flat, &args.choices.replace, true)?;
+    refuse_unfilled(&flat)?;
     anchor_paths(&mut flat)?;
     for needed in [roles::LOG, roles::OUT] {
         if deciding(&flat, needed).next().is_none() {
@@ -397,9 +390,39 @@ fn base_graph(args: &Args, set: &[Setting], path: &Path) -> Result<FlatGraph> {
         if let Some((_, option)) = OWNED.iter().find(|(decided, _)| decides(*decided)) {
             bail!("--set {}.{}: decided by {option}", setting.node, setting.key);
         }
+        let known = node.and_then(registration);
+        if is_path(known, &setting.key, &setting.value, Path::new("")) {
+            setting.value = std::path::absolute(&setting.value)?.to_string_lossy().into_owned();
+        }
         flat.set(&setting.node, &setting.key, &setting.value)?;
     }
     Ok(flat)
+}
+
+/// Refuses what a graph leaves open or says wrongly although the options of a run decide it: the same graph is started without
+/// them too.
+fn refuse_unfilled(graph: &FlatGraph) -> Result<()> {
+    let file = graph.file.display();
+    if let Some(finding) = realo_graph::misplaced(graph).first() {
+        bail!("{file} cannot run:\n  {finding}");
+    }
+    for node in &graph.nodes {
+        let id = &node.id;
+        if let Some((setting, parameter)) = node.parameter() {
+            bail!(
+                "{file}: node `{id}`: `{setting}`: expected a value for it: write `{parameter}` under the `params` of its module's node"
+            );
+        }
+        for decided in [roles::LOG, roles::OUT] {
+            let defaults = registration(node).map(|known| (known.defaults)());
+            let may_be_empty = |argument: &str| defaults.as_ref().is_some_and(|defaults| defaults[argument] == "");
+            let argument = decided_argument(node, decided).filter(|argument| !may_be_empty(argument));
+            if let Some(argument) = argument.filter(|argument| given(node, argument) == Some("")) {
+                bail!("{file}: node `{id}`: argument `{argument}`: expected a path, found nothing");
+            }
+        }
+    }
+    Ok(())
 }
 
 /// Refuses a graph that would record into a log that is played.
@@ -435,195 +458,6 @@ fn logs(args: &Args, graph: &FlatGraph) -> Result<Vec<PathBuf>> {
     Ok(vec![log])
 }
 
-/// Makes the links of a graph what they are offline, where nothing is delayed or lost.
-///
-/// # Errors
-/// Another link, asked for beside `--offline`.
-fn links_of_offline(graph: &mut FlatGraph, set: &[Setting]) -> Result<()> {
-    for node in &mut graph.nodes {
-        let Some(link) = decided_argument(node, roles::LINK) else {
-            continue;
-        };
-        let is_link = |setting: &&Setting| setting.node == node.id && setting.key == link && setting.value != PERFECT;
-        if let Some(Setting { node, key, value }) = set.iter().find(is_link) {
-            bail!("--offline has neither delays nor loss: drop --set {node}.{key}={value}, or --offline");
-        }
-        node.set(link, PERFECT);
-    }
-    Ok(())
-}
-
-/// All that decides the arguments of one run.
-struct Decisions<'a> {
-    args: &'a Args,
-    mode: Mode,
-    /// Name of the graph.
-    graph: &'a str,
-    log_path: &'a Path,
-    log: &'a Log,
-    ego: &'a str,
-    coop: &'a str,
-    /// Absolute.
-    out: &'a Path,
-}
-
-impl Decisions<'_> {
-    /// The graph with the arguments of this run; what the user set by hand stands above what the options imply.
-    fn to(&self, base: &FlatGraph, set: &[Setting]) -> Result<(FlatGraph, Settings)> {
-        let mut graph = base.clone();
-        let mut decisions = [self.of_run(), self.of_options()?, self.of_log(&graph)?].concat();
-        if !values(&graph, roles::OWN, str::to_string).is_empty() {
-            decisions.push((roles::OWN, self.ego.into()));
-        }
-        for (decided, value) in decisions {
-            decide(&mut graph, decided, &value);
-        }
-        if let Some(model) = &self.args.choices.model {
-            set_model(&mut graph, model)?;
-        }
-        if let Some(project) = self.args.choices.project {
-            for node in graph.nodes.iter_mut().filter(|node| can_project(node)) {
-                if let Some(argument) = decided_argument(node, roles::PROJECT) {
-                    node.set(argument, project.as_str());
-                }
-            }
-        }
-        for node in &mut graph.nodes {
-            if let Some(argument) = decided_argument(node, roles::RECORDING) {
-                let before = base.node(&node.id).unwrap_or(node);
-                let name = recording_name(before, argument, self.ego);
-                node.set(argument, &self.out.join(name).to_string_lossy());
-            }
-        }
-        for setting in set {
-            graph.set(&setting.node, &setting.key, &setting.value)?;
-        }
-        if self.args.offline {
-            links_of_offline(&mut graph, set)?;
-        }
-        let settings = self.settings(&graph, set)?;
-        Ok((graph, settings))
-    }
-
-    /// The settings of this run as its results name them.
-    fn settings(&self, graph: &FlatGraph, set: &[Setting]) -> Result<Settings> {
-        let mut projecting = graph.clone();
-        projecting.nodes.retain(can_project);
-        let mut changes: BTreeMap<String, String> = set.iter().map(named::change).collect();
-        changes.extend(replace::in_words(&self.args.choices.replace)?);
-        let changes: Vec<String> = changes
-            .into_iter()
-            .map(|(key, value)| format!("{key}={value}"))
-            .collect();
-        let mode = if self.args.offline {
-            "offline"
-        } else {
-            self.mode.as_str()
-        };
-        Ok(Settings {
-            graph: self.graph.into(),
-            mode: mode.into(),
-            coop: self.coop.into(),
-            ego: self.ego.into(),
-            link: values(graph, roles::LINK, named::link),
-            compute: self.args.compute.as_deref().map(named::profile).unwrap_or_default(),
-            seed: values(graph, roles::SEED, str::to_string),
-            project: values(&projecting, roles::PROJECT, str::to_string),
-            set: changes.join(", "),
-            programs: named::programs(graph),
-            rate: self
-                .args
-                .rate
-                .filter(|rate| *rate != 1.0)
-                .map(|rate| rate.to_string())
-                .unwrap_or_default(),
-            ..Settings::default()
-        })
-    }
-
-    fn of_run(&self) -> Vec<(&'static str, String)> {
-        vec![
-            (roles::LOG, self.log_path.to_string_lossy().into_owned()),
-            (roles::EGO, self.ego.into()),
-            (roles::COOP, self.coop.into()),
-            (roles::AGENTS, self.args.agents.join(",")),
-            (roles::OUT, self.out.to_string_lossy().into_owned()),
-            (
-                roles::RUN_SETTINGS,
-                self.out.join(SETTINGS_FILE).to_string_lossy().into_owned(),
-            ),
-        ]
-    }
-
-    fn of_options(&self) -> Result<Vec<(&'static str, String)>> {
-        let args = self.args;
-        let mut decisions = Vec::new();
-        if args.offline {
-            decisions.push((roles::OFFLINE, "true".into()));
-        }
-        if args.choices.recorded_detections {
-            decisions.push((roles::DETECTIONS, "required".into()));
-        }
-        decisions.extend(args.rate.map(|rate| (roles::RATE, rate.to_string())));
-        decisions.extend(args.choices.seed.map(|seed| (roles::SEED, seed.to_string())));
-        decisions.extend(args.choices.isa.iter().map(|isa| (roles::ISA, isa.clone())));
-        decisions.extend(
-            args.choices
-                .precision
-                .iter()
-                .map(|precision| (roles::PRECISION, precision.clone())),
-        );
-        let device = args.choices.device.iter();
-        decisions.extend(device.map(|device| (roles::DEVICE, device.clone())));
-        if let Some(profile) = &args.choices.link {
-            let named = |name: &str| named::name_or_file(name).unwrap_or_else(|_| name.into());
-            decisions.push((roles::LINK, realo_stages::link::with_base(profile, named)));
-        }
-        Ok(decisions)
-    }
-
-    fn of_log(&self, graph: &FlatGraph) -> Result<Vec<(&'static str, String)>> {
-        let info = self.log.info();
-        let protocol = self.args.protocol.as_deref().unwrap_or(&info.protocol);
-        let mut decisions = vec![(roles::PROTOCOL, named::name_or_file(protocol)?)];
-        let roadside = info.agents.iter().filter(|agent| agent.kind == AgentKind::Roadside);
-        let roadside: Vec<&str> = roadside.map(|agent| &*agent.name).collect();
-        decisions.push((roles::ROADSIDE, roadside.join(",")));
-        let has = |agent: &str, stream| self.log.has(agent, stream);
-        let names = info.agents.iter().map(|agent| agent.name.as_str());
-        let bare: Vec<&str> = names
-            .filter(|agent| has(agent, Stream::Sweeps) && !has(agent, Stream::Points))
-            .collect();
-        if !bare.is_empty() {
-            let stem = stem(self.log_path);
-            let agents = bare.join(", ");
-            if let Some(node) = deciding(graph, roles::MODEL).next() {
-                let id = &node.id;
-                bail!(
-                    "{stem}: a log without points of {agents}, in which node `{id}` sees nothing: take a log with points, or a graph \
-                     with a module `detect.*.yml` and --recorded-detections"
-                );
-            }
-            eprintln!("realo: {stem}: a log without points of {agents}; all sweeps are played empty");
-            decisions.push((roles::POINTS, "false".into()));
-        }
-        Ok(decisions)
-    }
-}
-
-/// The file that a node of a graph records into; one that is named after the node's agent is named after the one of the run.
-fn recording_name(node: &FlatNode, argument: &str, ego: &str) -> PathBuf {
-    let path = Path::new(given(node, argument).unwrap_or("recording.mcap"));
-    let name = PathBuf::from(path.file_name().unwrap_or_default());
-    let agent = decided_argument(node, roles::EGO).and_then(|key| given(node, key));
-    match (agent, name.extension()) {
-        (Some(agent), Some(kind)) if name.file_stem() == Some(agent.as_ref()) => {
-            PathBuf::from(ego).with_added_extension(kind)
-        }
-        _ => name,
-    }
-}
-
 pub(super) fn stem(path: &Path) -> String {
     path.file_stem().unwrap_or_default().to_string_lossy().into_owned()
 }
@@ -646,22 +480,4 @@ fn check(graph: &FlatGraph) -> Result<()> {
         return Ok(());
     }
     bail!("{} cannot run:\n  {}", graph.file.display(), errors.join("\n  "))
-}
-
-#[cfg(test)]
-mod tests {
-    use super::*;
-
-    #[test]
-    fn the_log_of_an_agents_sensors_is_named_after_the_agent_of_the_run() {
-        let graphs = Path::new(env!("CARGO_MANIFEST_DIR")).join("../../dataflows");
-        let graph = Graph::load(&graphs.join("late_fusion.roadside.yml"))
-            .unwrap()
-            .expand()
-            .unwrap();
-        let named = |node: &str, ego| recording_name(graph.node(node).unwrap(), "path", ego);
-        assert_eq!(named("log", "cav2"), Path::new("cav2.mcap"));
-        assert_eq!(named("log", "rsu1"), Path::new("rsu1.mcap"));
-        assert_eq!(named("score.recorder", "cav2"), Path::new("recording.mcap"));
-    }
 }

@@ -8,7 +8,7 @@ use realo_host::Program;
 use realo_operator::{Port, Registration};
 
 use super::named;
-use super::nodes::{is_like_path, is_relative_path};
+use super::nodes::is_path;
 use crate::registry;
 
 /// What `--replace` says, paths seen from where the user is.
@@ -32,12 +32,12 @@ fn anchor(replacement: &mut Replacement) -> Result<()> {
         }
         replacement.words[1] = path;
     }
+    let known = registry().find(&replacement.words[0], &replacement.words[1]).ok();
     for word in &mut replacement.words[2..] {
         let Some((key, value)) = word.split_once('=') else {
             continue;
         };
-        let is_file = is_like_path(value) && Path::new(value).exists();
-        if is_relative_path(value) || is_file || (key == "model" && !is_program) {
+        if is_path(known, key, value, Path::new("")) {
             *word = format!("{key}={}", absolute(value)?);
         }
     }

@@ -7,11 +7,11 @@ use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 use std::time::SystemTime;
 
-use eyre::{Result, WrapErr};
+use eyre::{Result, WrapErr, bail};
 use realo_cli::Progress;
 use realo_graph::FlatGraph;
 use realo_logs::McapFile;
-use realo_results::{RESULT_FILE, RunSettings};
+use realo_results::{FilesError, RESULT_FILE, RunSettings};
 use sha2::{Digest, Sha256};
 
 use super::prepare::{RunPlan, SETTINGS_FILE};
@@ -33,19 +33,32 @@ pub enum Earlier {
 }
 
 /// What the folder of a run holds. What a killed run put aside there is put back first.
-pub fn earlier(plan: &RunPlan) -> Earlier {
+///
+/// # Errors
+/// Results of another version, which a run would replace.
+pub fn earlier(plan: &RunPlan) -> Result<Earlier> {
     folders::recover(&plan.out);
-    let complete = plan.out.join(RESULT_FILE).exists()
-        && realo_results::read_run(&plan.out).is_ok_and(|run| run.result.complete && run.result.ended_by.is_none());
+    let complete = match plan
+        .out
+        .join(RESULT_FILE)
+        .exists()
+        .then(|| realo_results::read_run(&plan.out))
+    {
+        Some(Err(error @ FilesError::Version { .. })) => {
+            bail!("--resume: {error}; or drop --resume, which replaces these results, or choose another --out")
+        }
+        Some(Ok(run)) => run.result.complete && run.result.ended_by.is_none(),
+        _ => false,
+    };
     let is_whole = |path: &PathBuf| McapFile::open(path).is_ok_and(|file| file.truncation().is_none());
     if !complete || !plan.recordings().iter().all(is_whole) {
-        return Earlier::None;
+        return Ok(Earlier::None);
     }
     let reported = std::fs::read(plan.out.join(SETTINGS_FILE)).ok();
     let reported = reported.and_then(|text| serde_json::from_slice::<RunSettings>(&text).ok());
     match reported.is_some_and(|reported| reported.fingerprint == plan.fingerprint()) {
-        true => Earlier::Same,
-        false => Earlier::Other,
+        true => Ok(Earlier::Same),
+        false => Ok(Earlier::Other),
     }
 }
 

@@ -5,6 +5,7 @@ use std::process::ExitStatus;
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
+use super::relay::Relay;
 use super::{Child, QUOTED};
 use crate::virtual_time::is_ending;
 
@@ -82,14 +83,14 @@ pub(super) fn missing_module(said: &str) -> Option<String> {
 }
 
 /// Passes on what a program says on standard error, and keeps the end of it.
-pub(super) fn listen(mut stderr: impl Read, said: &Mutex<Vec<u8>>) {
+pub(super) fn listen(mut stderr: impl Read, said: &Mutex<Vec<u8>>, mut relay: Relay<impl Write>) {
     let mut chunk = [0; 1024];
     while let Ok(n @ 1..) = stderr.read(&mut chunk) {
-        // Nothing can be done about a terminal that is gone.
-        let _ = std::io::stderr().write_all(&chunk[..n]);
+        relay.pass(&chunk[..n], Instant::now());
         let mut said = said.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
         said.extend_from_slice(&chunk[..n]);
         let surplus = said.len().saturating_sub(QUOTED);
         said.drain(..surplus);
     }
+    relay.end();
 }
