@@ -2,13 +2,6 @@
 
 /// A word and what it means, where a table has it.
 const WORDS: &[(&str, &str)] = &[
-    ("coop", "who may collaborate with the ego"),
-    ("compute", "computing times that virtual time charges"),
-    ("project", "who brings data to the ego's frame, receiver or sender"),
-    ("protocol", "what counts as an object, and what as found"),
-    ("pooled", "scored as one, a run for each log and ego"),
-    ("seed", "of all random draws"),
-    ("isa", "the processor's instructions that networks used"),
     (
         "AP",
         "average precision, from 0 to 1 (best), of the detections of all scored frames sorted by score",
@@ -47,6 +40,13 @@ const WORDS: &[(&str, &str)] = &[
     ("over limit", "of more collaborators than the fusion takes"),
     ("in flight", "arrived after the ego's last sweep"),
     ("rejected", "invalid, or of no use to the fusion"),
+    ("coop", "who may collaborate with the ego"),
+    ("compute", "computing times that virtual time charges"),
+    ("project", "who brings data to the ego's frame, receiver or sender"),
+    ("protocol", "what counts as an object, and what as found"),
+    ("pooled", "scored as one, a run for each log and ego"),
+    ("seed", "of all random draws"),
+    ("isa", "the processor's instructions that networks used"),
 ];
 
 /// The words of a table that it explains, in one paragraph.
