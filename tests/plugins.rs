@@ -425,8 +425,9 @@ fn boxes_of_a_python_stage_that_no_object_can_have_are_named() {
     assert!(output.status.success(), "{}", text(&output.stderr));
     let notes = json(&out.join("result.json"))["notes"].to_string();
     for part in [
-        "boxes were left out by fusion.nms, because no object can have such numbers (the first has a distance of 1.000e30 m)",
-        "mend the stage that sends them to fusion.nms",
+        "boxes were not taken from the program of fusion.fusion, because no object can have such numbers (the first has a distance of \
+         1.000e30 m)",
+        "mend the program",
     ] {
         assert!(notes.contains(part), "no `{part}` in\n{notes}");
     }
