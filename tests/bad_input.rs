@@ -558,16 +558,16 @@ fn what_a_node_cannot_run_with_is_reported_before_dora_starts() {
     ]
     .concat();
     for (set, expected) in [
-        (&["v2x.deadline_ms=-3"][..], "argument `deadline_ms`: expected above 0"),
-        (&["v2x.site=a*b"], "node `v2x`: argument `site`"),
+        (&["v2x.deadline_ms=-3"][..], "setting `deadline_ms`: expected above 0"),
+        (&["v2x.site=a*b"], "node `v2x`: setting `site`"),
         (&["v2x.max_bytes=3"], "`max_bytes`"),
-        (&["v2x.key=none.key"], "argument `trust`: expected a file"),
-        (&["v2x.key=none.key", "v2x.trust=none.toml"], "argument `key`: none.key"),
-        (&["v2x.zenoh=/nope"], "argument `zenoh`: /nope"),
-        (&["player.skew_ms=1e9"], "argument `skew_ms`: expected -10000000 to"),
+        (&["v2x.key=none.key"], "setting `trust`: expected a file"),
+        (&["v2x.key=none.key", "v2x.trust=none.toml"], "setting `key`: none.key"),
+        (&["v2x.zenoh=/nope"], "setting `zenoh`: /nope"),
+        (&["player.skew_ms=1e9"], "setting `skew_ms`: expected -10000000 to"),
         (
             &["fusion.bank.forget_ms=1", "v2x.site=a*b"],
-            "node `fusion.bank`: argument `forget_ms`",
+            "node `fusion.bank`: setting `forget_ms`",
         ),
     ] {
         let sets = set.iter().flat_map(|set| ["--set".to_string(), set.to_string()]);
@@ -597,9 +597,9 @@ fn what_a_node_cannot_run_with_is_found_by_validate() {
         (
             "radio: agent=cav1",
             "radio:",
-            "node `v2x`: argument `agent`: expected a name",
+            "node `v2x`: setting `agent`: expected a name",
         ),
-        (listen, "", "node `v2x`: arguments `listen`, `connect`"),
+        (listen, "", "node `v2x`: settings `listen`, `connect`"),
         (
             "agent=cav1 listen=tcp/0.0.0.0:7447",
             "'agent=cav1 listen=tcp/0.0.0.0:7447,tcp/10.0.0.1:7448'",
@@ -608,7 +608,7 @@ fn what_a_node_cannot_run_with_is_found_by_validate() {
         (
             listen,
             "listen=tcp/0.0.0.0:7447 key=keys/a.key trust=keys/b.toml",
-            "argument `key`: keys/a.key",
+            "setting `key`: keys/a.key",
         ),
         (
             "radio: agent=cav1",
@@ -623,7 +623,7 @@ fn what_a_node_cannot_run_with_is_found_by_validate() {
         (
             "log-recorder agent=$PARAM_AGENT",
             "log-recorder",
-            "node `log`: argument `agent`",
+            "node `log`: setting `agent`",
         ),
     ] {
         let (code, said) = validate((from, to));

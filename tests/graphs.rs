@@ -262,7 +262,7 @@ fn a_broken_graph_is_refused_with_what_mends_it() {
         (
             "modules/fuse.boxes.yml",
             "modules/fuse.boxes.yml nms.threshold=1.5",
-            "argument `threshold`: expected 0 to 1, found 1.5",
+            "setting `threshold`: expected 0 to 1, found 1.5",
         ),
         ("modules/fuse.boxes.yml", "modules/fuse.boxen.yml", "fuse.boxen.yml"),
         (

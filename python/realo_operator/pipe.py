@@ -168,11 +168,11 @@ def configuration(operator, args):
     values, seen = dict(operator.DEFAULTS), set()
     for key, equals, text in (arg.partition("=") for arg in args):
         if not equals or key in seen:
-            raise ValueError(f"argument `{key}` is {'given twice' if equals else 'not of the form key=value'}")
+            raise ValueError(f"setting `{key}` is {'given twice' if equals else 'not of the form key=value'}")
         if key not in values:
             near = difflib.get_close_matches(key, values, 1)
             hint = f" (did you mean `{near[0]}`?)" if near else ""
-            raise ValueError(f"unknown argument `{key}`{hint}; it takes: {', '.join(values)}")
+            raise ValueError(f"unknown setting `{key}`{hint}; it takes: {', '.join(values)}")
         seen.add(key)
         values[key] = _value(key, text, values[key])
     return SimpleNamespace(**values)
@@ -186,8 +186,8 @@ def _value(key, text, default):
     try:
         value = json.loads(text)
     except ValueError as error:
-        raise ValueError(f"argument `{key}`: `{text}` is no value: {error}") from error
+        raise ValueError(f"setting `{key}`: `{text}` is no value: {error}") from error
     value = float(value) if isinstance(default, float) and type(value) is int else value
     if default is not None and type(value) is not type(default):
-        raise ValueError(f"argument `{key}`: expected a value like `{json.dumps(default)}`, found `{text}`")
+        raise ValueError(f"setting `{key}`: expected a value like `{json.dumps(default)}`, found `{text}`")
     return value

@@ -87,11 +87,11 @@ fn keys_that_cannot_be_are_reported() {
     };
     let [key, other, trust] = ["cav1.key", "rsu1.key", "trust.toml"].map(file);
     for (set, expected) in [
-        (vec![format!("v2x.key={key}")], "argument `trust`: expected a file"),
-        (vec![format!("v2x.trust={trust}")], "argument `key`: expected a file"),
+        (vec![format!("v2x.key={key}")], "setting `trust`: expected a file"),
+        (vec![format!("v2x.trust={trust}")], "setting `key`: expected a file"),
         (
             vec![format!("v2x.key={other}"), format!("v2x.trust={trust}")],
-            "expected the key of `cav1` (argument `agent`), found that of `rsu1`",
+            "expected the key of `cav1` (setting `agent`), found that of `rsu1`",
         ),
         (
             vec![format!("v2x.key={trust}"), format!("v2x.trust={trust}")],
@@ -105,8 +105,8 @@ fn keys_that_cannot_be_are_reported() {
             vec![format!("v2x.key={}", file("none.key")), format!("v2x.trust={trust}")],
             "none.key: ",
         ),
-        (vec![format!("v2x.zenoh={}", file("none.yml"))], "argument `zenoh`: "),
-        (vec![format!("v2x.zenoh={trust}")], "argument `zenoh`: "),
+        (vec![format!("v2x.zenoh={}", file("none.yml"))], "setting `zenoh`: "),
+        (vec![format!("v2x.zenoh={trust}")], "setting `zenoh`: "),
     ] {
         let found = refused(&set);
         assert!(found.contains(expected), "{set:?}: {found}");
@@ -118,7 +118,7 @@ fn keys_that_cannot_be_are_reported() {
     };
     let found = settings("mode: client");
     assert!(
-        found.contains("`mode`: expected what the radio has no argument for"),
+        found.contains("`mode`: expected what the radio has no setting for"),
         "{found}"
     );
     let found = settings("transport: { link: { tls: { enable_mtl: true } } }");

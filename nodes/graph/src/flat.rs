@@ -267,7 +267,7 @@ impl FlatNode {
         settings.find_map(|setting| Some((setting.as_str(), params::named(setting).into_iter().next()?)))
     }
 
-    /// Changes or adds the argument `key=value`.
+    /// Changes or adds the setting `key=value`.
     pub fn set(&mut self, key: &str, value: &str) {
         set_argument(&mut self.args, key, value);
     }

@@ -756,7 +756,7 @@ fn what_is_wrong_with_a_hosted_graph_is_found() {
         (
             "nms.threshold=0.3",
             "nms.treshold=0.3",
-            "error: node `ego.nms`: expected arguments of `nms`, found unknown argument `treshold`",
+            "error: node `ego.nms`: expected settings of `nms`, found unknown setting `treshold`",
         ),
         (
             "args: host modules/score.yml",

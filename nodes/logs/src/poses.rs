@@ -5,7 +5,7 @@ use realo_schemas::{AgentState, Nanos, is_same_stamp};
 
 use crate::{AgentKind, Log, LogError, Stream};
 
-/// Poses that are farther apart are not bridged by default, ns: the argument `max_gap_ms` of the operator `sync`.
+/// Poses that are farther apart are not bridged by default, ns: the setting `max_gap_ms` of the operator `sync`.
 pub const MAX_GAP: Nanos = 150_000_000;
 /// Poses of a unit that does not move differ by no more, m.
 const STILL: f64 = 0.05;

@@ -5,7 +5,7 @@ use std::path::PathBuf;
 pub enum PlayerError {
     /// Wall time has one rate, and messages come when they were ready.
     #[error(
-        "argument `clock`: with clock=wall, expected `rate` 1 and not `offline`, found rate {rate}, offline {offline}: leave them, or clock=log"
+        "setting `clock`: with clock=wall, expected `rate` 1 and not `offline`, found rate {rate}, offline {offline}: leave them, or clock=log"
     )]
     Wall {
         /// The rate.
@@ -14,14 +14,14 @@ pub enum PlayerError {
         offline: bool,
     },
     /// A clock that is off where no clock is played.
-    #[error("argument `skew_ms`: expected 0 without clock=wall, found {0}")]
+    #[error("setting `skew_ms`: expected 0 without clock=wall, found {0}")]
     Skew(f64),
     /// Packets of a second pass.
-    #[error("argument `precomputed`: packets say their own number and time, so that `repeat` must be 1, found {0}")]
+    #[error("setting `precomputed`: packets say their own number and time, so that `repeat` must be 1, found {0}")]
     Repeat(u32),
     /// Packets at other times than their own.
     #[error(
-        "argument `precomputed`: packets were made with poses and at times as recorded, which `offline` does not play: leave one of \
+        "setting `precomputed`: packets were made with poses and at times as recorded, which `offline` does not play: leave one of \
          the two"
     )]
     Offline,
@@ -35,7 +35,7 @@ pub enum PlayerError {
     #[error("`{}` has no messages", .0.display())]
     Empty(PathBuf),
     /// A start behind the end.
-    #[error("argument `start`: expected less than the {length:.3} s of the log, found {start}")]
+    #[error("setting `start`: expected less than the {length:.3} s of the log, found {start}")]
     Start {
         /// The start, s.
         start: f64,

@@ -1,6 +1,6 @@
 //! Which sweeps of collaborators no fusion can take, for a fusion takes the nearest and enough others are nearer for certain.
 //!
-//! That is only so where every message arrives at once: whoever sets the argument `fused_at_most` has to know.
+//! That is only so where every message arrives at once: whoever sets the setting `fused_at_most` has to know.
 
 use realo_logs::{Entry, Log, LogError, Stream};
 use realo_schemas::{Name, Nanos};

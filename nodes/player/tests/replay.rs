@@ -367,7 +367,7 @@ fn a_part_of_a_log_keeps_its_numbers() {
     .err()
     .unwrap()
     .to_string();
-    assert!(error.contains("argument `start`: expected less than the"), "{error}");
+    assert!(error.contains("setting `start`: expected less than the"), "{error}");
 }
 
 #[test]

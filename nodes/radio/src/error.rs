@@ -8,20 +8,20 @@ use crate::keys::{KeyError, NAME};
 #[derive(Debug, thiserror::Error)]
 pub enum RadioError {
     /// A name that no agent can have.
-    #[error("argument `agent`: expected {NAME}, found `{0}`")]
+    #[error("setting `agent`: expected {NAME}, found `{0}`")]
     Agent(String),
     /// A site that is not one.
-    #[error("argument `site`: expected names with / between them, each {NAME}, found `{0}`")]
+    #[error("setting `site`: expected names with / between them, each {NAME}, found `{0}`")]
     Site(String),
     /// No address.
     #[error(
-        "arguments `listen`, `connect`: expected an address in one of them at least, such as listen=tcp/0.0.0.0:7447; \
+        "settings `listen`, `connect`: expected an address in one of them at least, such as listen=tcp/0.0.0.0:7447; \
          found none, and so nobody to exchange packets with"
     )]
     Nobody,
     /// Two addresses that need one port.
     #[error(
-        "argument `listen`: expected ports of their own for each, which takes the one behind it too, found {first} and {second}"
+        "setting `listen`: expected ports of their own for each, which takes the one behind it too, found {first} and {second}"
     )]
     Ports {
         /// One.
@@ -31,7 +31,7 @@ pub enum RadioError {
     },
     /// A key without those that are trusted, or the other way round.
     #[error(
-        "argument `{missing}`: expected a file, for `{given}` has one: who signs must know whom to trust, and the other way round"
+        "setting `{missing}`: expected a file, for `{given}` has one: who signs must know whom to trust, and the other way round"
     )]
     HalfSealed {
         /// The argument that has a file.
@@ -40,7 +40,7 @@ pub enum RadioError {
         missing: &'static str,
     },
     /// A file of keys that cannot be used.
-    #[error("argument `{argument}`: {error}")]
+    #[error("setting `{argument}`: {error}")]
     Keys {
         /// The argument.
         argument: &'static str,
@@ -49,7 +49,7 @@ pub enum RadioError {
         error: KeyError,
     },
     /// The key of another agent.
-    #[error("argument `key`: {}: expected the key of `{agent}` (argument `agent`), found that of `{found}`", .file.display())]
+    #[error("setting `key`: {}: expected the key of `{agent}` (setting `agent`), found that of `{found}`", .file.display())]
     OtherKey {
         /// Its file.
         file: PathBuf,

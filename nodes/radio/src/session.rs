@@ -27,7 +27,7 @@ pub enum NetworkError {
         mend: &'static str,
     },
     /// A file of settings that is none.
-    #[error("argument `zenoh`: {path}: {reason}")]
+    #[error("setting `zenoh`: {path}: {reason}")]
     Settings {
         /// The file.
         path: PathBuf,
@@ -140,7 +140,7 @@ fn add(config: &mut zenoh::Config, path: &Path) -> Result<(), NetworkError> {
     };
     if let Some(ours) = OURS.iter().find(|ours| settings.contains_key(**ours)) {
         return Err(wrong(format!(
-            "`{ours}`: expected what the radio has no argument for; use `listen`, `connect` of `v2x`"
+            "`{ours}`: expected what the radio has no setting for; use `listen`, `connect` of `v2x`"
         )));
     }
     for (name, value) in &settings {

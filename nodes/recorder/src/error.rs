@@ -12,10 +12,10 @@ pub enum RecorderError {
     #[error("a message after the log was finished")]
     LogFinished,
     /// Nobody is named.
-    #[error("argument `agent`: expected whose sensors are recorded, found nothing")]
+    #[error("setting `agent`: expected whose sensors are recorded, found nothing")]
     Agent,
     /// The log's folder cannot be made.
-    #[error("argument `path`: {}: {}", .0.display(), .1)]
+    #[error("setting `path`: {}: {}", .0.display(), .1)]
     Folder(PathBuf, #[source] std::io::Error),
     /// A report that no log has.
     #[error("a log takes no report of topic `{0}` ({1})")]

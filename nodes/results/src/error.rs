@@ -6,10 +6,10 @@ use realo_schemas::{Header, Name};
 #[derive(Debug, thiserror::Error)]
 pub enum ResultsError {
     /// Nowhere to write.
-    #[error("argument `out`: expected a folder, found nothing")]
+    #[error("setting `out`: expected a folder, found nothing")]
     NoFolder,
     /// The run's settings cannot be read.
-    #[error("argument `run_settings`: {}: {error}", .file.display())]
+    #[error("setting `run_settings`: {}: {error}", .file.display())]
     RunFile {
         /// Their file.
         file: PathBuf,
@@ -18,7 +18,7 @@ pub enum ResultsError {
         error: std::io::Error,
     },
     /// The run's settings are something else.
-    #[error("argument `run_settings`: {}: not what a run tells of itself: {error}", .file.display())]
+    #[error("setting `run_settings`: {}: not what a run tells of itself: {error}", .file.display())]
     RunSettings {
         /// Their file.
         file: PathBuf,

@@ -60,7 +60,7 @@ pub enum FilesError {
         found: String,
     },
     /// A folder with a file of somebody else is not written to.
-    #[error("{file} is not of realo ({found}) and is not overwritten; choose another folder (argument `out`)")]
+    #[error("{file} is not of realo ({found}) and is not overwritten; choose another folder (setting `out`)")]
     Occupied {
         /// The file.
         file: PathBuf,
@@ -238,12 +238,10 @@ pub fn earlier(folder: &Path) -> Result<Vec<PathBuf>, FilesError> {
 
 fn refused(file: &Path, reason: std::io::Error) -> FilesError {
     let hint = match reason.kind() {
-        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => {
-            "; free some space or choose another disk (argument `out`)"
-        }
-        ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => "; choose another folder (argument `out`)",
+        ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "; free some space or choose another disk (setting `out`)",
+        ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => "; choose another folder (setting `out`)",
         ErrorKind::NotADirectory | ErrorKind::AlreadyExists => {
-            "; a file stands where a folder is needed (argument `out`)"
+            "; a file stands where a folder is needed (setting `out`)"
         }
         _ => "",
     };

@@ -29,20 +29,20 @@ pub enum EngineError {
     /// The build has no GPU.
     #[cfg(not(feature = "cuda"))]
     #[error(
-        "argument `device`: this build has no cuda: expected cpu, or a build of `cargo build --release --features cuda -p realo`, \
+        "setting `device`: this build has no cuda: expected cpu, or a build of `cargo build --release --features cuda -p realo`, \
          which needs the CUDA toolkit"
     )]
     NotBuilt,
     /// A number type that is not computed in on a GPU.
     #[cfg(feature = "cuda")]
-    #[error("argument `precision`: on cuda, expected f32 or bf16, found int8 of model `{model}`: say precision=bf16")]
+    #[error("setting `precision`: on cuda, expected f32 or bf16, found int8 of model `{model}`: say precision=bf16")]
     Precision {
         /// The model's name.
         model: String,
     },
     /// No GPU, or none that its driver lets this process use.
     #[cfg(feature = "cuda")]
-    #[error("argument `device`: expected a GPU that CUDA can use, or device=cpu; found: {0}")]
+    #[error("setting `device`: expected a GPU that CUDA can use, or device=cpu; found: {0}")]
     NoDevice(candle_core::Error),
     /// The GPU, or what it was given.
     #[cfg(feature = "cuda")]

@@ -25,7 +25,7 @@ pub struct Settings {
 
 /// A threshold, of the argument or of the model, that no score has.
 #[derive(Debug, thiserror::Error)]
-#[error("argument `score_threshold`: expected 0 to 1, found {0}")]
+#[error("setting `score_threshold`: expected 0 to 1, found {0}")]
 pub struct ScoreThreshold(f32);
 
 /// Finds boxes in BEV maps: the heads of a PointPillars model, decoded.

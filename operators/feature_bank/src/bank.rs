@@ -17,7 +17,7 @@ const HELD: usize = 16;
 pub enum BankError {
     /// A stamp that lies after the message's arrival.
     #[error(
-        "{message}: the stamp lies {by_ms} ms after its arrival, at most {limit_ms} are allowed (argument `ahead_ms`); the sender's clock is wrong"
+        "{message}: the stamp lies {by_ms} ms after its arrival, at most {limit_ms} are allowed (setting `ahead_ms`); the sender's clock is wrong"
     )]
     Ahead {
         /// The message.
@@ -40,7 +40,7 @@ pub enum BankError {
         found: PayloadType,
     },
     /// One agent too many.
-    #[error("{message}: {limit} other agents are known already (argument `max_agents`)")]
+    #[error("{message}: {limit} other agents are known already (setting `max_agents`)")]
     Agents {
         /// The message.
         message: String,

@@ -36,8 +36,8 @@
 //!
 //! Copies of a message that was seen before (same agent, kind, seq and stamp among the sender's last 64) count as
 //! `repeated` and the ego's own messages as `from_ego`; neither is held nor departs. A sender that starts its seq
-//! afresh is welcome as long as its stamps go on. A message from the future (argument `ahead_ms`) or of one agent too
-//! many (argument `max_agents`), and one whose payload is not that of the queries, is an error, hence rejected.
+//! afresh is welcome as long as its stamps go on. A message from the future (setting `ahead_ms`) or of one agent too
+//! many (setting `max_agents`), and one whose payload is not that of the queries, is an error, hence rejected.
 
 mod bank;
 mod operator;

@@ -37,7 +37,7 @@ pub struct Settings {
 
 /// Agents would be forgotten while their messages are of use.
 #[derive(Debug, thiserror::Error)]
-#[error("argument `forget_ms`: expected at least `window_ms` = {window}, found {forget}")]
+#[error("setting `forget_ms`: expected at least `window_ms` = {window}, found {forget}")]
 pub struct Forgetful {
     window: u32,
     forget: u32,

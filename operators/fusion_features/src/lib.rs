@@ -51,7 +51,7 @@ pub enum FeatureError {
     },
     /// More collaborators than the model takes.
     #[error(
-        "argument `max_collaborators`: expected at most {most}, as many as `arch.agents` of {} leaves, found {found}",
+        "setting `max_collaborators`: expected at most {most}, as many as `arch.agents` of {} leaves, found {found}",
         .model.display()
     )]
     Limit {

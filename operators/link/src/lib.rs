@@ -1,7 +1,7 @@
 //! The link between agents: a channel model on the true bytes of packets, and the range gate before it.
 //!
 //! Delivered packets name their receiver in `header.to`; their `ready` is the time of sending plus the delay, exact in
-//! nanoseconds. Others are known once their state or a packet of theirs came in, the ego by the argument `ego` or once
+//! nanoseconds. Others are known once their state or a packet of theirs came in, the ego by the setting `ego` or once
 //! its own state or packet did; what comes in for nobody counts as `no_receiver`.
 //!
 //! **Range gate**: a packet is sent if the newest known positions of the two agents lie at most `range_m` apart in

@@ -69,7 +69,7 @@ impl TooEarly {
 pub enum LinkError {
     /// Another agent speaks where the ego should.
     #[error(
-        "the ego's lane carries a message of {agent}, the ego is {ego}; mend the wiring, or the argument `ego` of the link"
+        "the ego's lane carries a message of {agent}, the ego is {ego}; mend the wiring, or the setting `ego` of the link"
     )]
     NotTheEgo {
         /// Who speaks.

@@ -110,11 +110,11 @@ pub fn localize(source: Source, prior: AgentState) -> Result<AgentState, Localiz
 #[derive(Debug, thiserror::Error)]
 pub enum LocalizationError {
     /// A seed that the reference's generator does not take.
-    #[error("argument `seed`: expected 0 to {max} with noise=same, found {0}; or set noise=each", max = u32::MAX)]
+    #[error("setting `seed`: expected 0 to {max} with noise=same, found {0}; or set noise=each", max = u32::MAX)]
     Seed(u64),
     /// A pose that is not true.
     #[error(
-        "argument `source`: expected true poses, found one that is {0:?}; play the log's true poses, or set source=recorded"
+        "setting `source`: expected true poses, found one that is {0:?}; play the log's true poses, or set source=recorded"
     )]
     NotTrue(PoseStatus),
     /// A state alone.

@@ -37,7 +37,7 @@ pub struct Settings {
 #[derive(Debug, thiserror::Error)]
 pub enum NmsError {
     /// A vote below the threshold, or above 1.
-    #[error("argument `vote`: expected an IoU from `threshold`, {min}, to 1, found {found}")]
+    #[error("setting `vote`: expected an IoU from `threshold`, {min}, to 1, found {found}")]
     Vote {
         /// The threshold.
         min: f64,
@@ -45,7 +45,7 @@ pub enum NmsError {
         found: f64,
     },
     /// A region that is not one.
-    #[error("argument `region`: {0}")]
+    #[error("setting `region`: {0}")]
     Region(String),
 }
 

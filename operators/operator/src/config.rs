@@ -11,10 +11,10 @@ use crate::StageSettings;
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ConfigError {
     /// Not of the form `key=value`.
-    #[error("argument `{0}` is not of the form key=value")]
+    #[error("setting `{0}` is not of the form key=value")]
     Form(String),
     /// A key that the operator does not have.
-    #[error("unknown argument `{key}`{}; it takes: {}", did_you_mean(.nearest), .known.join(", "))]
+    #[error("unknown setting `{key}`{}; it takes: {}", did_you_mean(.nearest), .known.join(", "))]
     Unknown {
         /// The key.
         key: String,
@@ -24,7 +24,7 @@ pub enum ConfigError {
         known: Vec<String>,
     },
     /// The same key twice.
-    #[error("argument `{key}` is given twice, as `{first}` and as `{second}`: keep one")]
+    #[error("setting `{key}` is given twice, as `{first}` and as `{second}`: keep one")]
     Twice {
         /// The key.
         key: String,
@@ -34,7 +34,7 @@ pub enum ConfigError {
         second: String,
     },
     /// A value that does not fit.
-    #[error("argument `{key}`: `{value}` does not fit: {reason}")]
+    #[error("setting `{key}`: `{value}` does not fit: {reason}")]
     Value {
         /// The key.
         key: String,
@@ -44,7 +44,7 @@ pub enum ConfigError {
         reason: String,
     },
     /// A value outside the range of the argument.
-    #[error("argument `{key}`: expected {expected}, found {found}")]
+    #[error("setting `{key}`: expected {expected}, found {found}")]
     Range {
         /// The key.
         key: &'static str,
@@ -165,7 +165,7 @@ fn read_value(default: &Value, text: &str) -> Result<Value, String> {
             Ok(Value::Array(items.map(read_yaml).collect::<Result<_, _>>()?))
         }
         _ if text.trim().is_empty() => {
-            Err("expected a value, found nothing; the default stands where the argument is left out".into())
+            Err("expected a value, found nothing; the default stands where the setting is left out".into())
         }
         _ if is_no_number(text) => Err("expected a finite number".into()),
         _ if text.trim().parse::<f64>().is_ok_and(f64::is_infinite) => {
@@ -261,7 +261,7 @@ mod tests {
         let error = read(&["threshold=many"]).unwrap_err().to_string();
         assert!(error.contains("`threshold`") && error.contains("`many`"), "{error}");
         let error = read(&["ego=a", "ego=b"]).unwrap_err().to_string();
-        assert_eq!(error, "argument `ego` is given twice, as `a` and as `b`: keep one");
+        assert_eq!(error, "setting `ego` is given twice, as `a` and as `b`: keep one");
         assert_eq!(read(&["ego"]), Err(ConfigError::Form("ego".into())));
     }
     #[test]
@@ -269,51 +269,51 @@ mod tests {
         assert!(read(&["threshold=1", "window_ms=null", "rate=8"]).is_ok());
         assert!(read(&["rate=1e-9"]).is_ok());
         let cases = [
-            ("threshold=1.01", "argument `threshold`: expected 0 to 1, found 1.01"),
+            ("threshold=1.01", "setting `threshold`: expected 0 to 1, found 1.01"),
             (
                 "threshold=.nan",
-                "argument `threshold`: `.nan` does not fit: expected a finite number",
+                "setting `threshold`: `.nan` does not fit: expected a finite number",
             ),
             (
                 "window_ms=-.INF",
-                "argument `window_ms`: `-.INF` does not fit: expected a finite number",
+                "setting `window_ms`: `-.INF` does not fit: expected a finite number",
             ),
             (
                 "window_ms=inf",
-                "argument `window_ms`: `inf` does not fit: expected a finite number",
+                "setting `window_ms`: `inf` does not fit: expected a finite number",
             ),
             (
                 "threshold=NaN",
-                "argument `threshold`: `NaN` does not fit: expected a finite number",
+                "setting `threshold`: `NaN` does not fit: expected a finite number",
             ),
             (
                 "window_ms=",
-                "argument `window_ms`: `` does not fit: expected a value, found nothing; the default stands where the argument is left out",
+                "setting `window_ms`: `` does not fit: expected a value, found nothing; the default stands where the setting is left out",
             ),
             (
                 "threshold=1e999",
-                "argument `threshold`: `1e999` does not fit: expected a finite number, at most about 1.8e308",
+                "setting `threshold`: `1e999` does not fit: expected a finite number, at most about 1.8e308",
             ),
             (
                 "threads=-1",
-                "argument `threads`: `-1` does not fit: expected a whole number, at least 1",
+                "setting `threads`: `-1` does not fit: expected a whole number, at least 1",
             ),
             (
                 "window_ms=99999999999",
-                "argument `window_ms`: `99999999999` does not fit: expected a whole number, at least 1",
+                "setting `window_ms`: `99999999999` does not fit: expected a whole number, at least 1",
             ),
             (
                 "threshold=many",
-                "argument `threshold`: `many` does not fit: expected a number, 0 to 1",
+                "setting `threshold`: `many` does not fit: expected a number, 0 to 1",
             ),
-            ("profile=", "argument `profile`: expected a value, found nothing"),
-            ("window_ms=0", "argument `window_ms`: expected at least 1, found 0"),
-            ("threads=0", "argument `threads`: expected at least 1, found 0"),
-            ("rate=0", "argument `rate`: expected above 0, up to 8, found 0"),
-            ("rate=9", "argument `rate`: expected above 0, up to 8, found 9"),
+            ("profile=", "setting `profile`: expected a value, found nothing"),
+            ("window_ms=0", "setting `window_ms`: expected at least 1, found 0"),
+            ("threads=0", "setting `threads`: expected at least 1, found 0"),
+            ("rate=0", "setting `rate`: expected above 0, up to 8, found 0"),
+            ("rate=9", "setting `rate`: expected above 0, up to 8, found 9"),
             (
                 "rate=.inf",
-                "argument `rate`: `.inf` does not fit: expected a finite number",
+                "setting `rate`: `.inf` does not fit: expected a finite number",
             ),
         ];
         for (arg, expected) in cases {

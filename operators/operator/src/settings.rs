@@ -71,7 +71,7 @@ impl Argument {
 /// assert_eq!(Suppression::ARGUMENTS[0].range, Some("0 to 1"));
 /// assert_eq!(Suppression::default().threshold, 0.15);
 /// let error = parse::<Suppression>(&["threshold=1.5".into()]).unwrap_err();
-/// assert_eq!(error.to_string(), "argument `threshold`: expected 0 to 1, found 1.5");
+/// assert_eq!(error.to_string(), "setting `threshold`: expected 0 to 1, found 1.5");
 /// ```
 pub trait StageSettings: DeserializeOwned + Serialize + Default {
     /// Every key, in its order.

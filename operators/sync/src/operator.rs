@@ -77,7 +77,7 @@ pub enum SyncError {
     #[error("the stamp lies {0:.3} s after the arrival, at most 1 s is allowed; the agent's clock is wrong")]
     Ahead(f64),
     /// An outline that is not one.
-    #[error("argument `own_body`: expected x min, x max, y min, y max in metres, or [], found {0:?}")]
+    #[error("setting `own_body`: expected x min, x max, y min, y max in metres, or [], found {0:?}")]
     OwnBody(Vec<f32>),
 }
 

@@ -54,13 +54,13 @@ pub enum EncodeError {
         most: f32,
     },
     /// A step that clouds cannot have.
-    #[error("argument `step_m`: expected 0 or a step from 0.000001 to 1 m, found {0}")]
+    #[error("setting `step_m`: expected 0 or a step from 0.000001 to 1 m, found {0}")]
     Step(f64),
     /// A setting outside its range.
     #[error(transparent)]
     Settings(#[from] ConfigError),
     /// A level that zstd does not have.
-    #[error("argument `zstd`: expected null or a level from -7 to 19 that is not 0, found 0")]
+    #[error("setting `zstd`: expected null or a level from -7 to 19 that is not 0, found 0")]
     NoLevel,
     /// What zstd could not compress.
     #[error("zstd: {0}")]
@@ -85,7 +85,7 @@ pub enum EncodeError {
     Nowhere(Name),
     /// A sender that a CPM cannot place.
     #[error(
-        "`{field}` of the sender: a CPM takes {expected}, found {found}: see the argument `origin`, or send with `boxes=plain`"
+        "`{field}` of the sender: a CPM takes {expected}, found {found}: see the setting `origin`, or send with `boxes=plain`"
     )]
     Place {
         /// What of its place.
@@ -157,7 +157,7 @@ pub enum DecodeError {
     },
     /// A map beyond the limit.
     #[error(
-        "feature map of {shape:?} rows, columns and channels takes {size} bytes, at most {limit} are made (argument `max_bytes`)"
+        "feature map of {shape:?} rows, columns and channels takes {size} bytes, at most {limit} are made (setting `max_bytes`)"
     )]
     Expanded {
         /// Rows, columns, channels.
@@ -168,7 +168,7 @@ pub enum DecodeError {
         limit: usize,
     },
     /// A quantised cloud beyond the limit.
-    #[error("cloud of {count} points takes {size} bytes, at most {limit} are made (argument `max_bytes`)")]
+    #[error("cloud of {count} points takes {size} bytes, at most {limit} are made (setting `max_bytes`)")]
     Points {
         /// Number of points.
         count: usize,
@@ -178,7 +178,7 @@ pub enum DecodeError {
         limit: usize,
     },
     /// A packet beyond the limit.
-    #[error("packet of {bytes} bytes, at most {limit} are taken (argument `max_bytes`)")]
+    #[error("packet of {bytes} bytes, at most {limit} are taken (setting `max_bytes`)")]
     Oversized {
         /// Its size.
         bytes: usize,

@@ -5,8 +5,8 @@
 //! `transmission-decoder`
 //!
 //! Of maps that tell how sure their maker is of each cell those may cross that `min_confidence` and `budget_bytes` choose. Maps of f32
-//! are quantised, shuffled and compressed as the arguments `elements`, `shuffle` and `zstd` say, and come out as
-//! f32 again; maps of other elements are not quantised. With the argument `step_m` coordinates of points cross as whole steps, all
+//! are quantised, shuffled and compressed as the settings `elements`, `shuffle` and `zstd` say, and come out as
+//! f32 again; maps of other elements are not quantised. With the setting `step_m` coordinates of points cross as whole steps, all
 //! columns as differences, shuffled and compressed; without it they are exact. With `boxes=cpm` boxes cross as a message of ETSI
 //! ([`cpm`]) in place of the layout below. docs/reference/packets.md says why, how exactly, and what is refused. Both stages time the steps
 //! of a cloud and of a feature map ([`realo_operator::Steps`]).

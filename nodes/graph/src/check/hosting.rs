@@ -40,7 +40,7 @@ pub(super) fn stage(
         }
     };
     if let Err(error) = (stage.check)(node.settings()) {
-        let expected = format!("arguments of `{name}`");
+        let expected = format!("settings of `{name}`");
         findings.node(
             Severity::Error,
             node,

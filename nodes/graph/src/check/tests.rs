@@ -517,7 +517,7 @@ const CASES: &[(&str, &str, &[&str])] = &[
         "threshold=0.15",
         "treshold=0.15",
         &[
-            "node `ego-nms`: expected arguments of `nms`",
+            "node `ego-nms`: expected settings of `nms`",
             "did you mean `threshold`?",
         ],
     ),

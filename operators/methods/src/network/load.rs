@@ -50,13 +50,13 @@ pub enum LoadError {
         error: NetworkError,
     },
     /// The kernels.
-    #[error("argument `isa`: {0}")]
+    #[error("setting `isa`: {0}")]
     Isa(UnknownIsa),
     /// The number type.
-    #[error("argument `precision`: {0}")]
+    #[error("setting `precision`: {0}")]
     Precision(UnknownPrecision),
     /// More threads than any machine has.
-    #[error("argument `threads`: expected at most {MOST_THREADS}, found {0}")]
+    #[error("setting `threads`: expected at most {MOST_THREADS}, found {0}")]
     Threads(usize),
 }
 
@@ -304,7 +304,7 @@ mod tests {
             load(&file, kernels).err().expect("refused").to_string()
         };
         assert!(
-            error("sse9", 1).contains("argument `isa`: expected auto or one of"),
+            error("sse9", 1).contains("setting `isa`: expected auto or one of"),
             "{}",
             error("sse9", 1)
         );

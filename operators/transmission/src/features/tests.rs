@@ -340,7 +340,7 @@ fn a_shape_beyond_the_limit_is_refused_before_anything_is_made() {
     for rows in [LIMIT as u32 / 160 + 1, u32::MAX] {
         let error = refused(&forged(rows, &zeros));
         assert!(
-            error.contains("at most 1048576 are made (argument `max_bytes`)"),
+            error.contains("at most 1048576 are made (setting `max_bytes`)"),
             "{error}"
         );
         assert!(

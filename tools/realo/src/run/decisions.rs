@@ -104,7 +104,7 @@ impl Decisions<'_> {
                     .map(|name| format!(" (did you mean `{name}`?)"))
                     .unwrap_or_default();
                 bail!(
-                    "node `{}`: argument `{argument}`: expected names of agents of {}, which are {}, found `{name}`{hint}",
+                    "node `{}`: setting `{argument}`: expected names of agents of {}, which are {}, found `{name}`{hint}",
                     node.id,
                     stem(self.log_path),
                     agents.join(", ")

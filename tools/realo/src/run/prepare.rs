@@ -418,7 +418,7 @@ fn refuse_unfilled(graph: &FlatGraph) -> Result<()> {
             let may_be_empty = |argument: &str| defaults.as_ref().is_some_and(|defaults| defaults[argument] == "");
             let argument = decided_argument(node, decided).filter(|argument| !may_be_empty(argument));
             if let Some(argument) = argument.filter(|argument| given(node, argument) == Some("")) {
-                bail!("{file}: node `{id}`: argument `{argument}`: expected a path, found nothing");
+                bail!("{file}: node `{id}`: setting `{argument}`: expected a path, found nothing");
             }
         }
     }
