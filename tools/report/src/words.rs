@@ -23,10 +23,7 @@ const WORDS: &[(&str, &str)] = &[
         "KB per frame",
         "what crossed the links to the ego for each of its sweeps, 1 KB = 1,000 bytes",
     ),
-    (
-        "age",
-        "age of the data that were fused, when they were fused; of many, the median",
-    ),
+    ("age", "from the stamp of the data to the ego's query that used them"),
     (
         "stamps apart",
         "how far the stamps of what was fused lie from the ego's: nothing is late in an offline run",
