@@ -53,7 +53,7 @@ class Operator:
     """A pure stage: messages in, messages out. It reads no clock, socket or environment."""
 
     NAME = ""
-    #: Arguments with their defaults; they become attributes of `self.config`.
+    #: Settings with their defaults; they become attributes of `self.config`.
     DEFAULTS: dict = {}
     INPUTS: list[Port] = []
     OUTPUTS: list[Port] = []

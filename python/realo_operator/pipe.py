@@ -28,7 +28,7 @@ LENT_AT_MOST = 64
 
 
 def run(operator):
-    """Serves an operator class with the arguments of the command line (`key=value`, as in the graph) to the host that
+    """Serves an operator class with the settings of the command line (`key=value`, as in the graph) to the host that
     started the program. Ends the process: 0, or 1 with the error."""
     try:
         if os.environ.get("REALO_DRIVER") != "pipe":
@@ -164,16 +164,19 @@ def reaches(probe):
 
 
 def configuration(operator, args):
-    """The defaults of an operator with `key=value` arguments over them; a value is JSON, or of the default's type."""
-    values, seen = dict(operator.DEFAULTS), set()
-    for key, equals, text in (arg.partition("=") for arg in args):
-        if not equals or key in seen:
-            raise ValueError(f"setting `{key}` is {'given twice' if equals else 'not of the form key=value'}")
+    """The defaults of an operator with `key=value` settings over them; a value is JSON, or of the default's type."""
+    values, seen = dict(operator.DEFAULTS), {}
+    for arg in args:
+        key, equals, text = arg.partition("=")
+        if not equals:
+            raise ValueError(f"setting `{arg}` is not of the form key=value")
+        if key in seen:
+            raise ValueError(f"setting `{key}` is given twice, as `{seen[key]}` and as `{text}`: keep one")
         if key not in values:
             near = difflib.get_close_matches(key, values, 1)
             hint = f" (did you mean `{near[0]}`?)" if near else ""
             raise ValueError(f"unknown setting `{key}`{hint}; it takes: {', '.join(values)}")
-        seen.add(key)
+        seen[key] = text
         values[key] = _value(key, text, values[key])
     return SimpleNamespace(**values)
 
@@ -186,7 +189,8 @@ def _value(key, text, default):
     try:
         value = json.loads(text)
     except ValueError as error:
-        raise ValueError(f"setting `{key}`: `{text}` is no value: {error}") from error
+        expected = f"JSON such as `{json.dumps(default)}`"
+        raise ValueError(f"setting `{key}`: expected {expected}, found `{text}`: {error}") from error
     value = float(value) if isinstance(default, float) and type(value) is int else value
     if default is not None and type(value) is not type(default):
         raise ValueError(f"setting `{key}`: expected a value like `{json.dumps(default)}`, found `{text}`")

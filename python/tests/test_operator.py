@@ -190,10 +190,17 @@ class TestConfiguration(unittest.TestCase):
         self.assertIs(type(found.score), float)
 
     def test_refuses_with_the_nearest_name(self):
-        cases = {"scor=1": "did you mean `score`", "score=x": "`x` is no value", "score": "not of the form"}
-        for arg, expected in {**cases, "deep=1": "expected a value like `false`"}.items():
+        cases = {
+            "scor=1": "did you mean `score`",
+            "score=x": "setting `score`: expected JSON such as `0.5`, found `x`: ",
+            "score": "setting `score` is not of the form key=value",
+            "deep=1": "expected a value like `false`",
+        }
+        for arg, expected in cases.items():
             with self.assertRaisesRegex(ValueError, expected):
                 configuration(Echo, [arg])
+        with self.assertRaisesRegex(ValueError, "setting `ego` is given twice, as `a` and as `b`: keep one"):
+            configuration(Echo, ["ego=a", "ego=b"])
 
 
 class TestOutputs(unittest.TestCase):
