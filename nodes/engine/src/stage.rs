@@ -259,7 +259,7 @@ mod tests {
             Port::new("one", &[PayloadType::Boxes], ""),
             Port::new("two", &[PayloadType::Boxes], ""),
         ],
-        arguments: &[],
+        settings: &[],
         counters: &[],
         defaults: Default::default,
         check: |_| Ok(()),

@@ -22,7 +22,7 @@ const fn stage(name: &'static str, role: Role, inputs: &'static [Port], outputs:
         role,
         inputs,
         outputs,
-        arguments: &[],
+        settings: &[],
         counters: &[],
         defaults: Default::default,
         check: |_| Ok(()),

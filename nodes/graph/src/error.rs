@@ -97,8 +97,8 @@ pub enum GraphError {
         /// All ids.
         known: String,
     },
-    /// A setting that is not of the form `node.key=value`.
-    #[error("setting `{0}` is not of the form node.key=value")]
+    /// A setting that is not of the form `stage.key=value`.
+    #[error("setting `{0}` is not of the form stage.key=value")]
     Setting(String),
     /// A replacement that is not of the form `STAGE=program PATH key=value`.
     #[error(

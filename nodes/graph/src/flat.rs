@@ -127,12 +127,12 @@ impl Input {
     }
 }
 
-/// A change of one argument: `node.key=value`. Ids contain dots, so the last one before `=` divides node and key.
+/// A change of one setting: `stage.key=value`. Ids contain dots, so the last one before `=` divides stage and key.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Setting {
     /// The node's id.
     pub node: String,
-    /// The argument.
+    /// The setting.
     pub key: String,
     /// Its value as written.
     pub value: String,
@@ -249,7 +249,7 @@ impl FlatNode {
         }
     }
 
-    /// The `key=value` arguments of a stage; those of another program are all its own.
+    /// The `key=value` settings of a stage; those of another program are all its own.
     pub fn settings(&self) -> &[String] {
         let first = if self.is_realo() { 2 } else { 0 };
         self.args.get(first..).unwrap_or_default()
@@ -422,7 +422,7 @@ impl FlatGraph {
         processes
     }
 
-    /// Changes or adds an argument of a node; whether the node takes it [`super::validate`] says.
+    /// Changes or adds a setting of a node; whether the node takes it [`super::validate`] says.
     ///
     /// # Errors
     /// [`GraphError::UnknownNode`], with the nearest id.
@@ -552,7 +552,7 @@ mod tests {
     }
 
     #[test]
-    fn changes_and_adds_arguments() {
+    fn changes_and_adds_settings() {
         let mut graph = graph("nodes: [{id: ego.nms, path: /x/realo, args: operator nms threshold=0.2}]");
         graph.set("ego.nms", "threshold", "0.3").unwrap();
         graph.set("ego.nms", "note", "two words").unwrap();

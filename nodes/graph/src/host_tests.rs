@@ -416,12 +416,12 @@ fn refuses_what_a_host_cannot_be() {
         (
             "nms.threshold=0.3",
             "threshold=0.3",
-            "is not of the form node.key=value",
+            "is not of the form stage.key=value",
         ),
         (
             "nms.threshold=0.3",
             "nms.threshold",
-            "is not of the form node.key=value",
+            "is not of the form stage.key=value",
         ),
         (
             "host modules/detect.network.yml nms.threshold=0.3",

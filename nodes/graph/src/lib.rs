@@ -1,7 +1,7 @@
 //! Dataflow files: reading, expansion of modules and hosts, changes from the command line, checks.
 //!
 //! A graph is a plain dora dataflow. [`Graph::load`] reads one, [`Graph::expand`] replaces its modules exactly as
-//! `dora expand` does and looks into the modules that `realo host` runs, [`FlatGraph::set`] changes an argument,
+//! `dora expand` does and looks into the modules that `realo host` runs, [`FlatGraph::set`] changes a setting,
 //! [`FlatGraph::to_yaml`] writes it for `dora run`, and [`validate`] finds what dora does not check. Of dora's node kinds,
 //! those with a `path` and modules are read.
 
@@ -34,7 +34,7 @@ use std::path::{Path, PathBuf};
 use serde_yaml::Mapping;
 
 pub use audit::audit;
-pub use check::{Answer, Finding, Severity, misdeclared, misplaced, validate, validate_asking};
+pub use check::{Answer, Finding, Severity, deploy_findings, misdeclared, validate, validate_asking};
 pub use error::GraphError;
 pub use expand::{OUTSIDE, hosted};
 pub use flat::{FlatGraph, FlatNode, Input, InputSource, Setting};

@@ -1,4 +1,4 @@
-//! What a graph says once for all its nodes: entries of its `env`, named in their arguments.
+//! What a graph says once for all its nodes: entries of its `env`, named in their settings.
 
 use std::collections::BTreeMap;
 

@@ -211,7 +211,7 @@ mod tests {
             Port::new("more", BOXES, "boxes").optional(),
         ],
         outputs: &[Port::new("out", BOXES, ""), Port::new("aside", BOXES, "")],
-        arguments: &[],
+        settings: &[],
         counters: &[],
         defaults: Default::default,
         check: |_| Ok(()),

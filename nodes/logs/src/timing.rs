@@ -182,7 +182,7 @@ fn unposed(times: &AgentTimes, stream: Stream, sweeps: &[Nanos]) -> Option<Strin
     };
     Some(format!(
         "`{agent}`: {} of {} sweeps have no pose{whose}: {why}; at most {} ms are bridged: write poses at 10 Hz or more that span the \
-         sweeps, or give `--set NODE.max_gap_ms=…` of the node `sync` more",
+         sweeps, or give `--set STAGE.max_gap_ms=…` of the stage `sync` more",
         lost.len(),
         sweeps.len(),
         millis(MAX_GAP)

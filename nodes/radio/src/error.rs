@@ -34,16 +34,16 @@ pub enum RadioError {
         "setting `{missing}`: expected a file, for `{given}` has one: who signs must know whom to trust, and the other way round"
     )]
     HalfSealed {
-        /// The argument that has a file.
+        /// The setting that has a file.
         given: &'static str,
-        /// The argument that has none.
+        /// The setting that has none.
         missing: &'static str,
     },
     /// A file of keys that cannot be used.
-    #[error("setting `{argument}`: {error}")]
+    #[error("setting `{setting}`: {error}")]
     Keys {
-        /// The argument.
-        argument: &'static str,
+        /// The setting.
+        setting: &'static str,
         /// Why.
         #[source]
         error: KeyError,

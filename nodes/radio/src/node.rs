@@ -453,7 +453,7 @@ fn seal(settings: &Settings) -> Result<Option<Seal>, RadioError> {
         [true, false] => return alone("key", "trust"),
         [false, true] => return alone("trust", "key"),
     }
-    let named = |argument| move |error| RadioError::Keys { argument, error };
+    let named = |setting| move |error| RadioError::Keys { setting, error };
     let own = Own::read(&settings.key).map_err(named("key"))?;
     let trusted = Trusted::read(&settings.trust).map_err(named("trust"))?;
     if *own.agent != *settings.agent {

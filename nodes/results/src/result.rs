@@ -94,7 +94,7 @@ pub struct RunResult {
 pub struct Settings {
     /// Name of the graph.
     pub graph: String,
-    /// A hash of the graph as it was run: stages, wires and arguments, but for what other settings say and where files lie;
+    /// A hash of the graph as it was run: stages, wires and settings, but for what other settings say and where files lie;
     /// empty where nobody prepared the run.
     #[serde(default, skip_serializing_if = "String::is_empty")]
     pub graph_hash: String,
@@ -122,7 +122,7 @@ pub struct Settings {
     /// took: `measured`, or the name of a compute profile; empty where every agent computed.
     #[serde(default)]
     pub precomputed: String,
-    /// Arguments changed by hand, `node.key=value`; files by their names, with a hash.
+    /// Settings changed by hand, `stage.key=value`; files by their names, with a hash.
     #[serde(default)]
     pub set: String,
     /// Plug-ins, `stage=name-hash`; empty where every stage is realo's.

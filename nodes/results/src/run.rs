@@ -10,7 +10,7 @@ use crate::{AgeTable, Ages, NodeSummary, RunResult, Settings, Spread, Timing, VE
 /// Names `evaluation.json`.
 pub const SAMPLES: &str = "realo/evaluation";
 
-/// The stages of a graph as it was run: by their ids, what each runs, its arguments and its wires, by name.
+/// The stages of a graph as it was run: by their ids, what each runs, its settings and its wires, by name.
 pub type GraphStages = BTreeMap<String, BTreeMap<String, String>>;
 
 /// What results are made from, so that runs can be pooled exactly: `evaluation.json`.

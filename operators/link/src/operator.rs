@@ -157,7 +157,7 @@ pub enum Output {
 }
 
 impl Link {
-    /// The ego's name, learned from its lane unless an argument names it.
+    /// The ego's name, learned from its lane unless a setting names it.
     fn ego_lane(&mut self, agent: &Name) -> Result<(), LinkError> {
         let ego = self.ego.get_or_insert_with(|| agent.clone());
         if ego != agent {

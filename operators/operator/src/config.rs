@@ -1,4 +1,4 @@
-//! `key=value` arguments to typed configurations.
+//! `key=value` settings to typed configurations.
 
 use std::fmt;
 
@@ -7,7 +7,7 @@ use serde_json::Value;
 
 use crate::StageSettings;
 
-/// Why an operator's arguments were refused.
+/// Why an operator's settings were refused.
 #[derive(Debug, Clone, PartialEq, thiserror::Error)]
 pub enum ConfigError {
     /// Not of the form `key=value`.
@@ -43,7 +43,7 @@ pub enum ConfigError {
         /// What is wrong with it.
         reason: String,
     },
-    /// A value outside the range of the argument.
+    /// A value outside the range of the setting.
     #[error("setting `{key}`: expected {expected}, found {found}")]
     Range {
         /// The key.
@@ -92,7 +92,7 @@ pub fn defaults<C: Serialize + Default>() -> serde_json::Map<String, Value> {
     }
 }
 
-/// Builds a configuration from `key=value` arguments over its defaults.
+/// Builds a configuration from `key=value` settings over its defaults.
 ///
 /// A value is read as YAML; where the default is a text the value is taken as it stands, where it is a list
 /// `a,b` means `[a, b]`.
@@ -141,7 +141,7 @@ pub fn parse<C: StageSettings>(args: &[String]) -> Result<C, ConfigError> {
     Ok(settings)
 }
 
-/// What serde expects of a number, in words that name no type of Rust, with the range of the argument.
+/// What serde expects of a number, in words that name no type of Rust, with the range of the setting.
 fn without_types<C: StageSettings>(key: &str, error: &str) -> String {
     let of = error.rsplit(' ').next().unwrap_or_default();
     let what = match of {
@@ -149,8 +149,8 @@ fn without_types<C: StageSettings>(key: &str, error: &str) -> String {
         "i8" | "i16" | "i32" | "i64" | "isize" | "u8" | "u16" | "u32" | "u64" | "usize" => "a whole number",
         _ => return error.into(),
     };
-    let argument = C::ARGUMENTS.iter().find(|argument| argument.name == key);
-    match argument.and_then(|argument| argument.range) {
+    let setting = C::SETTINGS.iter().find(|setting| setting.name == key);
+    match setting.and_then(|setting| setting.range) {
         Some(range) => format!("expected {what}, {range}"),
         None if of.starts_with('u') => format!("expected {what}, at least 0"),
         None => format!("expected {what}"),
@@ -167,7 +167,7 @@ fn read_value(default: &Value, text: &str) -> Result<Value, String> {
         _ if text.trim().is_empty() => {
             Err("expected a value, found nothing; the default stands where the setting is left out".into())
         }
-        _ if is_no_number(text) => Err("expected a finite number".into()),
+        _ if is_not_finite(text) => Err("expected a finite number".into()),
         _ if text.trim().parse::<f64>().is_ok_and(f64::is_infinite) => {
             Err("expected a finite number, at most about 1.8e308".into())
         }
@@ -176,7 +176,7 @@ fn read_value(default: &Value, text: &str) -> Result<Value, String> {
 }
 
 /// Whether a text is what other languages write for what is no finite number.
-fn is_no_number(text: &str) -> bool {
+fn is_not_finite(text: &str) -> bool {
     let word = text.trim().trim_start_matches(['+', '-']).to_ascii_lowercase();
     ["nan", "inf", "infinity"].contains(&word.as_str())
 }
@@ -322,8 +322,8 @@ mod tests {
     }
 
     #[test]
-    fn an_argument_has_what_its_field_says() {
-        let [threshold, ego, ..] = Settings::ARGUMENTS else {
+    fn a_setting_has_what_its_field_says() {
+        let [threshold, ego, ..] = Settings::SETTINGS else {
             panic!()
         };
         assert_eq!(
@@ -331,7 +331,7 @@ mod tests {
             ("threshold", "IoU", Some("0 to 1"))
         );
         assert_eq!((ego.role, ego.range), (Some("ego"), None));
-        let names = Settings::ARGUMENTS.iter().map(|argument| argument.name);
+        let names = Settings::SETTINGS.iter().map(|setting| setting.name);
         let expected = [
             "threshold",
             "ego",
@@ -343,8 +343,8 @@ mod tests {
             "rate",
         ];
         assert_eq!(names.collect::<Vec<_>>(), expected);
-        let paths = Settings::ARGUMENTS.iter().filter(|argument| argument.is_path);
-        let paths: Vec<&str> = paths.map(|argument| argument.name).collect();
+        let paths = Settings::SETTINGS.iter().filter(|setting| setting.is_path);
+        let paths: Vec<&str> = paths.map(|setting| setting.name).collect();
         assert_eq!(paths, ["model", "profile"]);
     }
 }

@@ -1,7 +1,7 @@
-//! All that an operator needs: the trait, ports, arguments, outputs, and the pipe protocol of plug-ins.
+//! All that an operator needs: the trait, ports, settings, outputs, and the pipe protocol of plug-ins.
 //!
 //! - [`macro@Describe`], [`macro@Settings`], [`macro@Inputs`], [`macro@Outputs`]: derives by which a stage says its name,
-//!   arguments and ports.
+//!   settings and ports.
 //! - [`Operator`], [`Source`], [`Sink`], [`Gateway`]: what a stage implements; [`Port`] its contract.
 //! - [`Counter`]: what a stage counts, declared with the note that a count above 0 makes.
 //! - [`Outputs`]: what an operator hands to its driver, and what it says of messages that cross links; [`Steps`] time parts
@@ -37,6 +37,6 @@ pub use registry::{AnyGateway, AnyOperator, AnySink, AnySource, Built, Registrat
 #[doc(hidden)]
 pub use realo_schemas::{Message, PayloadType};
 pub use run::run;
-pub use settings::{Argument, StageSettings};
+pub use settings::{SettingInfo, StageSettings};
 pub use steps::Steps;
 pub use typed::{NoInput, NoOutput, PortError, PortPayload, StageInputs, StageOutputs};

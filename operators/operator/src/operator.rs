@@ -361,7 +361,7 @@ impl<O> Outputs<O> {
         self.made.counts.found(counter, agent, words);
     }
 
-    /// Says what a fate means at this stage, by its arguments, for notes: `Stale` is "older than 400 ms".
+    /// Says what a fate means at this stage, by its settings, for notes: `Stale` is "older than 400 ms".
     pub fn explain(&mut self, fate: Fate, words: impl Into<String>) {
         self.made.explained.insert(fate, words.into());
     }

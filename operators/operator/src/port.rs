@@ -96,7 +96,7 @@ pub struct Port {
     pub join: Option<&'static str>,
     /// Whether the way of what crossed a link ends here, and the stage says what became of it (inputs).
     pub accounts: bool,
-    /// An argument and its value with which a graph must wire an optional input.
+    /// A setting and its value with which a graph must wire an optional input.
     pub needed: Option<(&'static str, &'static str)>,
     /// Whose data it carries, whatever the other ports do; of the others all inputs carry those of one side, and so do
     /// the outputs.
@@ -174,10 +174,10 @@ impl Port {
         self
     }
 
-    /// May stay unwired unless `argument` is `value`.
-    pub const fn needed_when(mut self, argument: &'static str, value: &'static str) -> Self {
+    /// May stay unwired unless `setting` is `value`.
+    pub const fn needed_when(mut self, setting: &'static str, value: &'static str) -> Self {
         self.required = false;
-        self.needed = Some((argument, value));
+        self.needed = Some((setting, value));
         self
     }
 

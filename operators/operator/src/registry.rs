@@ -4,7 +4,7 @@ use serde_json::Value;
 
 use crate::config::{ConfigError, defaults, nearest_name, parse};
 use crate::{
-    Argument, Books, Counter, Counts, Error, Gateway, Operator, Outputs, Port, PortId, Sink, Source, StageInputs,
+    Books, Counter, Counts, Error, Gateway, Operator, Outputs, Port, PortId, SettingInfo, Sink, Source, StageInputs,
     StageOutputs, StageSettings, Waker,
 };
 
@@ -153,17 +153,17 @@ pub struct Registration {
     pub inputs: &'static [Port],
     /// Outputs.
     pub outputs: &'static [Port],
-    /// What its arguments mean.
-    pub arguments: &'static [Argument],
+    /// What its settings mean.
+    pub settings: &'static [SettingInfo],
     /// What it counts.
     pub counters: &'static [Counter],
     /// Keys of its configuration with their defaults.
     pub defaults: fn() -> serde_json::Map<String, Value>,
-    /// Whether it takes these arguments; opens nothing.
+    /// Whether it takes these settings; opens nothing.
     pub check: fn(&[String]) -> Result<(), ConfigError>,
-    /// Looks at its arguments and the files that they name; see [`Describe::examine`](crate::Describe::examine).
+    /// Looks at its settings and the files that they name; see [`Describe::examine`](crate::Describe::examine).
     pub examine: fn(&[String]) -> Result<(), Error>,
-    /// Builds it from `key=value` arguments.
+    /// Builds it from `key=value` settings.
     pub build: fn(&[String]) -> Result<Built, Error>,
 }
 
@@ -177,7 +177,7 @@ macro_rules! registration {
                 role: $role,
                 inputs: T::Input::PORTS,
                 outputs: T::Output::PORTS,
-                arguments: T::Settings::ARGUMENTS,
+                settings: T::Settings::SETTINGS,
                 counters: T::COUNTERS,
                 defaults: defaults::<T::Settings>,
                 check: |args| parse::<T::Settings>(args).map(|_| ()),
@@ -217,12 +217,12 @@ impl Registration {
         }
     }
 
-    /// The argument with a role, see [`Argument::role`].
-    pub fn argument(&self, role: &str) -> Option<&'static str> {
-        let mut arguments = self.arguments.iter();
-        arguments
-            .find(|argument| argument.role == Some(role))
-            .map(|argument| argument.name)
+    /// The setting with a role, see [`SettingInfo::role`].
+    pub fn setting(&self, role: &str) -> Option<&'static str> {
+        let mut settings = self.settings.iter();
+        settings
+            .find(|setting| setting.role == Some(role))
+            .map(|setting| setting.name)
     }
 
     /// An input by its name.

@@ -5,7 +5,7 @@ use std::process::ExitCode;
 use crate::pipe::{self, DRIVER, DRIVER_VARIABLE, MEMORY_VARIABLE, memory};
 use crate::{Operator, Registration};
 
-/// The whole `main` of a plug-in: serves an operator with the arguments of the command line (`key=value`, as in the
+/// The whole `main` of a plug-in: serves an operator with the settings of the command line (`key=value`, as in the
 /// graph) to the host that started the program.
 ///
 /// ```no_run

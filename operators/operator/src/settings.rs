@@ -3,9 +3,9 @@ use serde::de::DeserializeOwned;
 
 use crate::config::ConfigError;
 
-/// One argument of an operator or node, as `realo operators` prints it. Its default is that of the settings.
+/// One setting of an operator or node, as `realo operators` prints it. Its default is that of the settings.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub struct Argument {
+pub struct SettingInfo {
     /// Key in graphs and `--set`.
     pub name: &'static str,
     /// Meaning and unit, in a line.
@@ -18,10 +18,10 @@ pub struct Argument {
     pub is_path: bool,
 }
 
-impl Argument {
-    /// How many arguments lists have.
+impl SettingInfo {
+    /// How many settings lists have.
     #[doc(hidden)]
-    pub const fn count(lists: &[&[Argument]]) -> usize {
+    pub const fn count(lists: &[&[SettingInfo]]) -> usize {
         let (mut all, mut list) = (0, 0);
         while list < lists.len() {
             all += lists[list].len();
@@ -30,10 +30,10 @@ impl Argument {
         all
     }
 
-    /// The `N` arguments of lists, in their order.
+    /// The `N` settings of lists, in their order.
     #[doc(hidden)]
-    pub const fn joined<const N: usize>(lists: &[&[Argument]]) -> [Argument; N] {
-        let nothing = Argument {
+    pub const fn joined<const N: usize>(lists: &[&[SettingInfo]]) -> [SettingInfo; N] {
+        let nothing = SettingInfo {
             name: "",
             about: "",
             range: None,
@@ -68,18 +68,18 @@ impl Argument {
 ///     threshold: f64,
 /// }
 ///
-/// assert_eq!(Suppression::ARGUMENTS[0].range, Some("0 to 1"));
+/// assert_eq!(Suppression::SETTINGS[0].range, Some("0 to 1"));
 /// assert_eq!(Suppression::default().threshold, 0.15);
 /// let error = parse::<Suppression>(&["threshold=1.5".into()]).unwrap_err();
 /// assert_eq!(error.to_string(), "setting `threshold`: expected 0 to 1, found 1.5");
 /// ```
 pub trait StageSettings: DeserializeOwned + Serialize + Default {
     /// Every key, in its order.
-    const ARGUMENTS: &'static [Argument];
+    const SETTINGS: &'static [SettingInfo];
 
     /// Whether every value lies in the range that its field declares.
     ///
     /// # Errors
-    /// [`ConfigError::Range`] names the argument, the range and the value.
+    /// [`ConfigError::Range`] names the setting, the range and the value.
     fn check(&self) -> Result<(), ConfigError>;
 }

@@ -10,7 +10,7 @@ mod stage;
 use proc_macro::TokenStream;
 use syn::{DeriveInput, parse_macro_input};
 
-/// Makes the settings of a stage from a struct: `Default`, the list of arguments, and the check of ranges.
+/// Makes the settings of a stage from a struct: `Default`, the list of settings, and the check of ranges.
 ///
 /// A field may say `#[setting(default = …, range = …, role = "…")]`, or `#[setting(flatten)]` beside `#[serde(flatten)]`: then its
 /// own settings stand in its place. A default that is not given is the type's own. A range is

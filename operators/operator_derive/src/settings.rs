@@ -6,7 +6,7 @@ use syn::{Data, DeriveInput, Error, Field, Fields, Ident, Result, Type};
 
 use crate::attribute::{Word, doc, words};
 
-/// One argument of a stage.
+/// One setting of a stage.
 struct Setting<'a> {
     name: &'a Ident,
     is_optional: bool,
@@ -17,7 +17,7 @@ struct Setting<'a> {
     is_path: bool,
     /// Whether an empty text is refused.
     is_filled: bool,
-    /// Its type, where that has arguments of its own, which stand in its place.
+    /// Its type, where that has settings of its own, which stand in its place.
     part: Option<&'a Type>,
 }
 
@@ -30,7 +30,7 @@ pub fn derive(input: &DeriveInput) -> Result<TokenStream> {
         _ => return Err(Error::new_spanned(input, "expected a struct")),
     };
     let settings = fields.iter().map(setting).collect::<Result<Vec<_>>>()?;
-    let arguments = arguments(&settings);
+    let list = list(&settings);
     let checks = settings.iter().filter_map(check);
     let defaults = settings
         .iter()
@@ -43,7 +43,7 @@ pub fn derive(input: &DeriveInput) -> Result<TokenStream> {
             }
         }
         impl ::realo_operator::StageSettings for #name {
-            const ARGUMENTS: &'static [::realo_operator::Argument] = #arguments;
+            const SETTINGS: &'static [::realo_operator::SettingInfo] = #list;
             fn check(&self) -> ::core::result::Result<(), ::realo_operator::config::ConfigError> {
                 #(#checks)*
                 ::core::result::Result::Ok(())
@@ -139,26 +139,26 @@ fn range_words(at: &Ident, range: &TokenStream) -> Result<String> {
     }
 }
 
-/// The list of arguments; where a part has some of its own, they stand in its place.
-fn arguments(settings: &[Setting]) -> TokenStream {
+/// The list of settings; where a part has some of its own, they stand in its place.
+fn list(settings: &[Setting]) -> TokenStream {
     if settings.iter().all(|setting| setting.part.is_none()) {
-        let arguments = settings.iter().map(argument);
-        return quote!(&[#(#arguments),*]);
+        let infos = settings.iter().map(info);
+        return quote!(&[#(#infos),*]);
     }
     let parts = settings.iter().map(|setting| match setting.part {
-        Some(part) => quote!(<#part as ::realo_operator::StageSettings>::ARGUMENTS),
+        Some(part) => quote!(<#part as ::realo_operator::StageSettings>::SETTINGS),
         None => {
-            let argument = argument(setting);
-            quote!(&[#argument])
+            let info = info(setting);
+            quote!(&[#info])
         }
     });
     quote! {{
-        const PARTS: &[&[::realo_operator::Argument]] = &[#(#parts),*];
-        &::realo_operator::Argument::joined::<{ ::realo_operator::Argument::count(PARTS) }>(PARTS)
+        const PARTS: &[&[::realo_operator::SettingInfo]] = &[#(#parts),*];
+        &::realo_operator::SettingInfo::joined::<{ ::realo_operator::SettingInfo::count(PARTS) }>(PARTS)
     }}
 }
 
-fn argument(setting: &Setting) -> TokenStream {
+fn info(setting: &Setting) -> TokenStream {
     let Setting {
         name, about, is_path, ..
     } = setting;
@@ -175,7 +175,7 @@ fn argument(setting: &Setting) -> TokenStream {
     let role = optional(setting.role.clone());
     let name = name.to_string();
     quote! {
-        ::realo_operator::Argument { name: #name, about: #about, range: #range, role: #role, is_path: #is_path }
+        ::realo_operator::SettingInfo { name: #name, about: #about, range: #range, role: #role, is_path: #is_path }
     }
 }
 

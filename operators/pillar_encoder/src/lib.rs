@@ -243,12 +243,12 @@ mod tests {
     }
 
     #[test]
-    fn arguments_name_all_instructions_and_number_types() {
+    fn settings_name_all_instructions_and_number_types() {
         let isas = realo_kernels::conv::Isa::ALL.map(|isa| isa.to_string());
         let precisions = realo_nn::model::Precision::ALL.map(|precision| precision.to_string());
-        for (argument, names) in [("isa", &isas[..]), ("precision", &precisions[..])] {
-            let mut arguments = <Settings as realo_operator::StageSettings>::ARGUMENTS.iter();
-            let about = arguments.find(|known| known.name == argument).expect("is there").about;
+        for (setting, names) in [("isa", &isas[..]), ("precision", &precisions[..])] {
+            let mut settings = <Settings as realo_operator::StageSettings>::SETTINGS.iter();
+            let about = settings.find(|known| known.name == setting).expect("is there").about;
             for name in names {
                 assert!(about.contains(&format!("`{name}`")), "{about}: {name}");
             }

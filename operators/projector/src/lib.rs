@@ -47,7 +47,7 @@ impl Project {
         ),
     ];
 
-    /// As arguments name it.
+    /// As settings name it.
     pub fn as_str(self) -> &'static str {
         match self {
             Project::Receiver => "receiver",

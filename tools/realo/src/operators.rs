@@ -1,4 +1,4 @@
-//! `realo operators`: every operator and node with its ports, arguments and counters.
+//! `realo operators`: every operator and node with its ports, settings and counters.
 
 use eyre::Result;
 use realo_cli::Outcome;
@@ -70,13 +70,13 @@ fn print(entry: &Registration) {
         println!("  out  {:<14} {:<30} {}", port.name, types(port), port.about);
     }
     let defaults = (entry.defaults)();
-    for argument in entry.arguments {
-        let default = defaults.get(argument.name).map(Value::to_string).unwrap_or_default();
-        let range = argument.range.map(|range| format!(" ({range})")).unwrap_or_default();
+    for setting in entry.settings {
+        let default = defaults.get(setting.name).map(Value::to_string).unwrap_or_default();
+        let range = setting.range.map(|range| format!(" ({range})")).unwrap_or_default();
         println!(
             "  arg  {:<30} {}{range}",
-            format!("{}={default}", argument.name),
-            argument.about
+            format!("{}={default}", setting.name),
+            setting.about
         );
     }
     for counter in entry.counters {
@@ -167,14 +167,14 @@ fn document(entry: &Registration) -> Value {
         })
     };
     let defaults = (entry.defaults)();
-    let argument = |a: &realo_operator::Argument| json!({"name": a.name, "default": defaults.get(a.name), "about": a.about, "range": a.range, "role": a.role});
+    let setting = |a: &realo_operator::SettingInfo| json!({"name": a.name, "default": defaults.get(a.name), "about": a.about, "range": a.range, "role": a.role});
     json!({
         "kind": entry.word(),
         "name": entry.name,
         "about": entry.about,
         "inputs": entry.inputs.iter().map(port).collect::<Vec<_>>(),
         "outputs": entry.outputs.iter().map(port).collect::<Vec<_>>(),
-        "arguments": entry.arguments.iter().map(argument).collect::<Vec<_>>(),
+        "settings": entry.settings.iter().map(setting).collect::<Vec<_>>(),
         "counters": entry.counters.iter().map(counter).collect::<Vec<_>>(),
     })
 }

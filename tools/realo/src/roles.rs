@@ -1,4 +1,4 @@
-//! Roles of arguments: what whoever prepares a run knows, and a graph need not say.
+//! Roles of settings: what whoever prepares a run knows, and a graph need not say.
 //!
 //! A stage marks a setting by such a word (`#[setting(role = "model")]`), and nothing else ties the two.
 
@@ -82,8 +82,8 @@ mod tests {
 
     #[test]
     fn the_roles_of_shipped_stages_are_those_that_are_known_here() {
-        let arguments = registry().0.iter().flat_map(|entry| entry.arguments);
-        let used: BTreeSet<&str> = arguments.filter_map(|argument| argument.role).collect();
+        let settings = registry().0.iter().flat_map(|entry| entry.settings);
+        let used: BTreeSet<&str> = settings.filter_map(|setting| setting.role).collect();
         assert_eq!(used, ALL.iter().copied().collect());
     }
 }

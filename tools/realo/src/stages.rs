@@ -5,7 +5,7 @@ use std::fmt::Write;
 
 use eyre::{OptionExt, Result, WrapErr};
 use realo_graph::FlatGraph;
-use realo_operator::{Argument, Class, Meaning, Port, Queue, Registration, Role};
+use realo_operator::{Class, Meaning, Port, Queue, Registration, Role, SettingInfo};
 use serde_json::{Map, Value};
 
 use crate::registry;
@@ -94,12 +94,12 @@ fn section(text: &mut String, entry: &Registration, addresses: Option<&BTreeSet<
             );
         }
     }
-    if !entry.arguments.is_empty() {
+    if !entry.settings.is_empty() {
         *text += "\n| setting | default | values | meaning |\n|---|---|---|---|\n";
     }
     let defaults = (entry.defaults)();
-    for argument in entry.arguments {
-        setting(text, argument, &defaults);
+    for info in entry.settings {
+        setting(text, info, &defaults);
     }
     if !entry.counters.is_empty() {
         *text += "\n| counter | counts | above 0 |\n|---|---|---|\n";
@@ -114,20 +114,17 @@ fn section(text: &mut String, entry: &Registration, addresses: Option<&BTreeSet<
     }
 }
 
-fn setting(text: &mut String, argument: &Argument, defaults: &Map<String, Value>) {
-    let default = match defaults.get(argument.name) {
+fn setting(text: &mut String, info: &SettingInfo, defaults: &Map<String, Value>) {
+    let default = match defaults.get(info.name) {
         Some(Value::String(empty)) if empty.is_empty() => "empty".into(),
         Some(Value::String(word)) => format!("`{word}`"),
         Some(value) => format!("`{}`", shortest(value)),
         None => String::new(),
     };
-    let role = argument
-        .role
-        .map(|role| format!(" (role `{role}`)"))
-        .unwrap_or_default();
-    let range = argument.range.unwrap_or_default();
-    let about = cell(argument.about);
-    let _ = writeln!(text, "| `{}` | {default} | {range} | {about}{role} |", argument.name);
+    let role = info.role.map(|role| format!(" (role `{role}`)")).unwrap_or_default();
+    let range = info.range.unwrap_or_default();
+    let about = cell(info.about);
+    let _ = writeln!(text, "| `{}` | {default} | {range} | {about}{role} |", info.name);
 }
 
 /// What a port is besides its types, in parentheses.
@@ -142,7 +139,7 @@ fn properties(port: &Port, is_input: bool) -> String {
             Class::Data => {}
         }
         match port.needed {
-            Some((argument, value)) => words.push(format!("needed with `{argument}={value}`")),
+            Some((key, value)) => words.push(format!("needed with `{key}={value}`")),
             None if !port.required => words.push("optional".into()),
             None => {}
         }

@@ -115,7 +115,7 @@ impl Scene {
 fn unposed(what: &str, max_gap: Nanos) -> String {
     format!(
         "{what}: the log has no pose of it then; poses must be at most {} ms apart and span the sweeps: record them at 10 Hz or \
-         more, or run with `--set NODE.max_gap_ms=…` of the node `sync`",
+         more, or run with `--set STAGE.max_gap_ms=…` of the stage `sync`",
         to_millis(max_gap)
     )
 }

@@ -23,11 +23,11 @@ pub(super) fn check(graph: &FlatGraph, stages: &[Option<&'static Registration>],
     }
 }
 
-/// The argument that says whose sensors, packets or log it has.
+/// The setting that says whose sensors, packets or log it has.
 fn agent_argument(stage: &Registration) -> Option<&'static str> {
     match stage.role {
-        Role::Source => stage.argument("own"),
-        Role::Gateway | Role::Sink => stage.argument("ego"),
+        Role::Source => stage.setting("own"),
+        Role::Gateway | Role::Sink => stage.setting("ego"),
         Role::Operator => None,
     }
 }

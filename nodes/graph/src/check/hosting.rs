@@ -1,4 +1,4 @@
-//! Programs, arguments, and the keys that only dora reads.
+//! Programs, settings, and the keys that only dora reads.
 
 use serde_yaml::Value;
 
@@ -6,7 +6,7 @@ use super::{Answer, Findings, FlatNode, Severity};
 use crate::variables;
 use realo_operator::{Registration, Registry};
 
-/// The stage that a node hosts, its arguments checked; `None` for foreign nodes and unknown names.
+/// The stage that a node hosts, its settings checked; `None` for foreign nodes and unknown names.
 pub(super) fn stage(
     node: &FlatNode,
     registry: &Registry,
@@ -59,7 +59,7 @@ pub(super) fn stage(
             &mend,
         );
     } else if let Some(arg) = node.settings().iter().find(|arg| variables::named(arg).is_some()) {
-        let mend = "`$NAME` stands for what the `env` at the graph's head says, in the arguments of the graph's own nodes; a \
+        let mend = "`$NAME` stands for what the `env` at the graph's head says, in the settings of the graph's own stages; a \
                     module's parameter only for what its node sets";
         findings.node(Severity::Warning, node, "values", format!("`{arg}`"), mend);
     }

@@ -12,7 +12,7 @@ const KEYS: &[&str] = &["machine", "working_dir", "labels", "distribute"];
 
 pub(super) fn check(graph: &FlatGraph, findings: &mut Findings) {
     let processes = graph.processes();
-    keys(graph, findings);
+    check_deploy_keys(graph, findings);
     let is_placed = |process: &&FlatNode| ["machine", "labels"].iter().any(|key| process.deployed(key).is_some());
     if !processes.iter().any(is_placed) {
         return;
@@ -32,11 +32,14 @@ pub(super) fn check(graph: &FlatGraph, findings: &mut Findings) {
 }
 
 /// What `deploy` says, of the graph and of each process.
-pub(super) fn keys(graph: &FlatGraph, findings: &mut Findings) {
+pub(super) fn check_deploy_keys(graph: &FlatGraph, findings: &mut Findings) {
     if let Some((expected, found, mend)) = graph.settings.get(DEPLOY).and_then(unknown_key) {
         findings.whole(Severity::Error, &expected, found, &mend);
     }
-    graph.processes().iter().for_each(|process| keys_of(process, findings));
+    graph
+        .processes()
+        .iter()
+        .for_each(|process| check_deploy_keys_of(process, findings));
 }
 
 /// A key of `deploy` that dora does not read: what is expected, what is there, what to do.
@@ -52,7 +55,7 @@ fn unknown_key(deploy: &Value) -> Option<(String, String, String)> {
     ))
 }
 
-fn keys_of(process: &FlatNode, findings: &mut Findings) {
+fn check_deploy_keys_of(process: &FlatNode, findings: &mut Findings) {
     let Some(deploy) = process.other.get(DEPLOY) else {
         return;
     };

@@ -67,7 +67,7 @@ impl fmt::Display for Finding {
 
 /// Everything that is wrong with a graph and dora does not see, in the order of its nodes.
 ///
-/// Checked are: stages and their arguments, ports and their types, wires (their ends, policies, cycles), lanes (what
+/// Checked are: stages and their settings, ports and their types, wires (their ends, policies, cycles), lanes (what
 /// belongs to the ego, what to the others, what crossed a link), outputs of processes, health checks, and whose graph it is. The
 /// graph that has no [`Severity::Error`] can be run by either driver, unless a [`Severity::Note`] names a foreign node.
 pub fn validate(graph: &FlatGraph, registry: &Registry) -> Vec<Finding> {
@@ -122,9 +122,9 @@ pub fn misdeclared(node: &FlatNode, program: &'static Registration) -> Vec<Findi
 }
 
 /// What is wrong with where a graph's processes are to run; whoever runs all of them here does not need it, but it was written.
-pub fn misplaced(graph: &FlatGraph) -> Vec<Finding> {
+pub fn deploy_findings(graph: &FlatGraph) -> Vec<Finding> {
     let mut findings = Findings::default();
-    machines::keys(graph, &mut findings);
+    machines::check_deploy_keys(graph, &mut findings);
     findings.0
 }
 

@@ -75,7 +75,7 @@ pub(super) fn declared(node: &FlatNode, stage: Option<&'static Registration>, fi
     }
 }
 
-/// Whether a graph must wire an input: always, or with one of the node's arguments.
+/// Whether a graph must wire an input: always, or with one of the node's settings.
 fn is_needed(node: &FlatNode, port: &Port) -> bool {
     let given = |(argument, value): (&str, &str)| {
         let setting = format!("{argument}={value}");

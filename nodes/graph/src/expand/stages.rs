@@ -9,7 +9,7 @@ use super::Outlets;
 use crate::read::Node;
 use crate::{Input, InputSource, error, flat};
 
-/// Refuses two settings of one argument: the second would win without a word.
+/// Refuses a setting that is given twice: the second would win without a word.
 pub(super) fn once_each(settings: &[String]) -> Result<(), String> {
     let mut known: BTreeMap<&str, &str> = BTreeMap::new();
     for setting in settings {
@@ -107,10 +107,10 @@ fn take_inputs(stages: &mut [Node], host: &str, setting: &str) -> Result<(), Str
     Ok(())
 }
 
-/// Changes an argument of a hosted stage: `inner.key=value`.
+/// Changes a setting of a hosted stage: `stage.key=value`.
 pub(super) fn set(stages: &mut [Node], host: &str, setting: &str) -> Result<(), String> {
     let written = shown(setting);
-    let wrong = || format!("setting `{written}` is not of the form node.key=value");
+    let wrong = || format!("setting `{written}` is not of the form stage.key=value");
     let (left, value) = setting.split_once('=').ok_or_else(wrong)?;
     let (inner, key) = left.rsplit_once('.').ok_or_else(wrong)?;
     let id = format!("{host}.{inner}");

@@ -83,11 +83,11 @@ pub enum HostError {
 pub enum Hosted<'a> {
     /// One stage: the words behind `realo` in a graph.
     Stage(&'a [String]),
-    /// The stages of a module, with `node.key=value` settings.
+    /// The stages of a module, with `stage.key=value` settings.
     Module {
         /// The module's file.
         file: &'a str,
-        /// Changes of its stages' arguments.
+        /// Changes of its stages' settings.
         settings: &'a [String],
     },
 }

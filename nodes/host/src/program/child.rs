@@ -387,7 +387,7 @@ static NOBODY: Registration = Registration {
     role: realo_operator::Role::Operator,
     inputs: &[],
     outputs: &[],
-    arguments: &[],
+    settings: &[],
     counters: &[],
     defaults: serde_json::Map::new,
     check: |_| Ok(()),

@@ -62,7 +62,7 @@ pub enum LoadError {
 
 const MOST_THREADS: usize = 1024;
 
-/// What computes a network, as operators' arguments name it.
+/// What computes a network, as operators' settings name it.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Kernels<'a> {
     /// Instructions; `auto` for the best that the processor has.
@@ -101,7 +101,7 @@ impl Kernels<'_> {
     }
 }
 
-/// The argument that leaves the choice to the loader.
+/// The setting that leaves the choice to the loader.
 pub const AUTO: &str = "auto";
 
 /// Loads the model of a file and the weights beside it.

@@ -1,6 +1,6 @@
 //! An operator in a process of its own, driven over two pipes: how plug-ins take part in a run.
 //!
-//! The driver starts the program that the graph names, with the graph's arguments, in the graph's folder, and with
+//! The driver starts the program that the graph names, with the graph's settings, in the graph's folder, and with
 //! `REALO_DRIVER=pipe` in its environment. It writes to the program's standard input and reads from its standard
 //! output, so the program must print nothing else there; what it writes to standard error is passed on, and quoted if
 //! it fails.

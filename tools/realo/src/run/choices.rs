@@ -32,7 +32,7 @@ impl Fitted {
     }
 }
 
-/// Keeps the last of several settings of one argument, as whoever adds to a command expects; says so of each.
+/// Keeps the last of several values of one setting, as whoever adds to a command expects; says so of each.
 pub fn settle(set: &mut Vec<String>) {
     let notes = keep_last(set, "--set ", |text| {
         let setting: Setting = text.parse().ok()?;
@@ -146,7 +146,7 @@ fn skip(has: &[bool], fitted: &mut [Fitted], option: &str, take: impl Fn(&mut Ch
     }
 }
 
-/// Whether a graph has a stage with such an argument. What a program takes only the program knows.
+/// Whether a graph has a stage with such a setting. What a program takes only the program knows.
 fn has_argument(graph: Option<&FlatGraph>, setting: &Setting) -> bool {
     let Some(graph) = graph else { return true };
     let Some(node) = graph.node(&setting.node) else {
@@ -233,7 +233,7 @@ mod tests {
     }
 
     #[test]
-    fn the_last_of_several_settings_of_one_argument_counts() {
+    fn the_last_of_several_values_of_one_setting_counts() {
         let mut set: Vec<String> = ["a.b.x=1", "a.b.y=2", "a.b.x=3", "junk", "a.b.y=2", "a.b.x=4", "junk"]
             .map(String::from)
             .into();
@@ -283,7 +283,7 @@ mod tests {
     }
 
     #[test]
-    fn an_argument_that_only_one_fusion_has_is_for_that_one() {
+    fn a_setting_that_only_one_fusion_has_is_for_that_one() {
         let set = "fusion.fusion.ego_boxes=false";
         let fitted = fit(&choices(&[set], &[]), &shipped(&["late_fusion", "attfuse"]));
         assert_eq!((fitted[0].note(), fitted[1].choices.set.len()), (None, 0));

@@ -1,4 +1,4 @@
-//! What the options and the log decide of the arguments of one run.
+//! What the options and the log decide of the settings of one run.
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -33,7 +33,7 @@ fn links_of_offline(graph: &mut FlatGraph, set: &[Setting]) -> Result<()> {
     Ok(())
 }
 
-/// All that decides the arguments of one run.
+/// All that decides the settings of one run.
 pub(super) struct Decisions<'a> {
     pub args: &'a Args,
     pub mode: Mode,
@@ -48,8 +48,8 @@ pub(super) struct Decisions<'a> {
 }
 
 impl Decisions<'_> {
-    /// The graph with the arguments of this run; what the user set by hand stands above what the options imply.
-    pub fn to(&self, base: &FlatGraph, set: &[Setting]) -> Result<(FlatGraph, Settings)> {
+    /// The graph with the settings of this run; what the user set by hand stands above what the options imply.
+    pub fn apply(&self, base: &FlatGraph, set: &[Setting]) -> Result<(FlatGraph, Settings)> {
         let mut graph = base.clone();
         let mut decisions = [self.of_run(), self.of_options()?, self.of_log(&graph)?].concat();
         if !values(&graph, roles::OWN, str::to_string).is_empty() {
@@ -82,7 +82,7 @@ impl Decisions<'_> {
             links_of_offline(&mut graph, set)?;
         }
         if values(&graph, roles::OWN, str::to_string).is_empty() {
-            self.knows_roadside(&graph)?;
+            self.refuse_unknown_roadside(&graph)?;
         }
         let settings = self.settings(&graph, set)?;
         Ok((graph, settings))
@@ -90,7 +90,7 @@ impl Decisions<'_> {
 
     /// Refuses names of roadside units that the log does not have: nobody would be one, and the scores change. The graph of one
     /// agent may meet others than those of its log.
-    fn knows_roadside(&self, graph: &FlatGraph) -> Result<()> {
+    fn refuse_unknown_roadside(&self, graph: &FlatGraph) -> Result<()> {
         let agents: Vec<&str> = self.log.info().agents.iter().map(|agent| &*agent.name).collect();
         for node in deciding(graph, roles::ROADSIDE) {
             let argument = decided_argument(node, roles::ROADSIDE).unwrap_or_default();

@@ -34,7 +34,7 @@ const ELSEWHERE: &[&str] = &[
 /// Digits of a hash.
 const DIGITS: usize = 8;
 
-/// The stages of an expanded graph, with all arguments and wires. No name of an argument has a blank, so other things have one.
+/// The stages of an expanded graph, with all settings and wires. No name of a setting has a blank, so other things have one.
 pub fn stages(graph: &FlatGraph) -> GraphStages {
     let nodes = graph.nodes.iter();
     nodes.map(|node| (node.id.clone(), described(node))).collect()
@@ -62,7 +62,7 @@ pub fn hash(stages: &GraphStages) -> String {
 fn described(node: &FlatNode) -> BTreeMap<String, String> {
     let known = registration(node);
     let elsewhere: Vec<&str> = known.map_or_else(Vec::new, |known| {
-        ELSEWHERE.iter().filter_map(|role| known.argument(role)).collect()
+        ELSEWHERE.iter().filter_map(|role| known.setting(role)).collect()
     });
     let value = |key: &str| match known {
         Some(_) => argument(node, key),
@@ -70,14 +70,14 @@ fn described(node: &FlatNode) -> BTreeMap<String, String> {
     };
     let keys = keys(node).into_iter().filter(|key| !elsewhere.contains(&key.as_str()));
     let mut found: BTreeMap<String, String> = keys
-        .filter_map(|key| value(&key).map(|value| (key, placeless(&value))))
+        .filter_map(|key| value(&key).map(|value| (key, without_folder(&value))))
         .collect();
     found.insert("what it runs".into(), runs(node));
     found.extend(node.host.iter().map(|host| ("its process".into(), host.clone())));
     let inputs = node.inputs.iter();
     found.extend(inputs.map(|(port, input)| (format!("input {port}"), wire(input))));
     for (name, value) in &node.env {
-        let text = value.as_str().map(placeless);
+        let text = value.as_str().map(without_folder);
         let text = text.unwrap_or_else(|| serde_json::to_string(value).unwrap_or_default());
         found.insert(format!("variable {name}"), text);
     }
@@ -93,7 +93,7 @@ fn runs(node: &FlatNode) -> String {
     match node.is_realo() {
         true => node.args.iter().take(2).cloned().collect::<Vec<_>>().join(" "),
         false => {
-            let words = node.args.iter().map(|word| placeless(word));
+            let words = node.args.iter().map(|word| without_folder(word));
             std::iter::once(name(&node.path))
                 .chain(words)
                 .collect::<Vec<_>>()
@@ -111,7 +111,7 @@ fn wire(input: &Input) -> String {
 }
 
 /// A value without the folder of a file, which is another one on each machine; a file with a hash of what it holds.
-fn placeless(value: &str) -> String {
+fn without_folder(value: &str) -> String {
     let path = Path::new(value);
     match path.file_name().filter(|_| path.is_absolute()) {
         Some(_) if path.is_file() => named::file(path),
@@ -137,7 +137,7 @@ mod tests {
     }
 
     #[test]
-    fn a_graph_is_known_by_stages_wires_and_arguments() {
+    fn a_graph_is_known_by_stages_wires_and_settings() {
         let first = hash_of(&graph());
         assert_eq!(first.len(), DIGITS);
         let changes: [fn(&mut FlatGraph); 4] = [

@@ -10,9 +10,9 @@ use realo_operator::Role;
 use super::networks::Networks;
 use super::nodes::{argument, decided_argument, given, registration};
 
-/// The argument of fusions that says how many collaborators they take.
+/// The setting of fusions that says how many collaborators they take.
 const MOST: &str = "max_collaborators";
-/// The player's argument.
+/// The player's setting.
 const FUSED_AT_MOST: &str = "fused_at_most";
 /// Standard deviations of errors of poses, by which another agent may seem to be the nearest.
 const NOISE: [&str; 2] = ["position_noise_m", "heading_noise_deg"];
@@ -45,7 +45,7 @@ pub fn leave_out_too_far(graph: &mut FlatGraph, offline: bool, networks: &mut Ne
 }
 
 fn has(node: &FlatNode, key: &str) -> bool {
-    registration(node).is_some_and(|known| known.arguments.iter().any(|argument| argument.name == key))
+    registration(node).is_some_and(|known| known.settings.iter().any(|setting| setting.name == key))
 }
 
 /// Whether whatever is sent within range is there when it is asked for, and agents are where they say that they are.

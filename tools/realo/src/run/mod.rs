@@ -246,7 +246,7 @@ fn check_operators(graph: &FlatGraph) -> Result<()> {
 
 /// Builds an operator; networks are looked at once for all, and all else opens files and sockets.
 fn build(known: &Registration, settings: &[String]) -> Result<(), realo_operator::Error> {
-    match known.argument(roles::MODEL) {
+    match known.setting(roles::MODEL) {
         Some(_) => Ok(()),
         None => (known.build)(settings).map(drop),
     }

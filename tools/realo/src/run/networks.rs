@@ -48,7 +48,7 @@ fn find(path: &Path) -> Result<()> {
         bail!(
             "{}: this model has no weights, {} is not there, the file that its `name`, `weights` or `encoder` names: \
              `realo-lab checkpoint convert` makes them of a PyTorch checkpoint, `realo-lab train` trains detectors and V2X-ViT's fusion; \
-             --model FILE, or --set NODE.model=FILE, names a model that has some",
+             --model FILE, or --set STAGE.model=FILE, names a model that has some",
             path.display(),
             weights.display()
         );

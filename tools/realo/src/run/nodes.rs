@@ -15,7 +15,7 @@ pub(super) fn registration(node: &FlatNode) -> Option<&'static Registration> {
 
 /// The argument of a node that something of a run decides.
 pub fn decided_argument(node: &FlatNode, role: &'static str) -> Option<&'static str> {
-    registration(node)?.argument(role)
+    registration(node)?.setting(role)
 }
 
 /// The nodes with an argument that something of a run decides.
@@ -28,7 +28,7 @@ pub fn deciding<'a>(graph: &'a FlatGraph, role: &'static str) -> impl Iterator<I
 
 /// Names of the registered operators and nodes that would take it.
 pub fn takers(role: &'static str) -> String {
-    let takes = |known: &&Registration| known.argument(role).is_some();
+    let takes = |known: &&Registration| known.setting(role).is_some();
     let names: Vec<&str> = registry().0.iter().filter(takes).map(|known| known.name).collect();
     names.join(" or ")
 }
@@ -129,15 +129,15 @@ pub fn anchor_paths(graph: &mut FlatGraph) -> Result<()> {
 pub fn is_path(known: Option<&Registration>, key: &str, value: &str, folder: &Path) -> bool {
     let may_be = match known {
         Some(known) => known
-            .arguments
+            .settings
             .iter()
-            .any(|argument| argument.name == key && argument.is_path),
+            .any(|setting| setting.name == key && setting.is_path),
         None => value.parse::<f64>().is_err(),
     };
     let is_relative = value.starts_with("./") || value.starts_with("../");
     let path = Path::new(value);
     let is_there = || (path.components().count() > 1 || path.extension().is_some()) && folder.join(path).exists();
-    let is_model = || known.and_then(|known| known.argument(roles::MODEL)) == Some(key);
+    let is_model = || known.and_then(|known| known.setting(roles::MODEL)) == Some(key);
     may_be && (is_relative || is_model() || is_there())
 }
 

@@ -199,7 +199,7 @@ impl Planner<'_> {
             coop,
             out: &out,
         };
-        let (graph, mut settings) = decisions.to(&self.graph, &self.set)?;
+        let (graph, mut settings) = decisions.apply(&self.graph, &self.set)?;
         let words = self.networks.check(&graph)?;
         (settings.isa, settings.model) = (words.kernels, words.models);
         settings.graph_hash = described::hash(&self.described);
@@ -329,7 +329,7 @@ pub fn lane(args: &Args) -> Result<LaneRun> {
         // Nothing is written there.
         out: Path::new("results"),
     };
-    let (graph, settings) = decisions.to(&base, &set)?;
+    let (graph, settings) = decisions.apply(&base, &set)?;
     if args.choices.project.is_some() && settings.project.is_empty() {
         return Err(nobody_projects(&path.display().to_string()));
     }
@@ -403,7 +403,7 @@ fn base_graph(args: &Args, set: &mut [Setting], path: &Path) -> Result<FlatGraph
 /// them too.
 fn refuse_unfilled(graph: &FlatGraph) -> Result<()> {
     let file = graph.file.display();
-    if let Some(finding) = realo_graph::misplaced(graph).first() {
+    if let Some(finding) = realo_graph::deploy_findings(graph).first() {
         bail!("{file} cannot run:\n  {finding}");
     }
     for node in &graph.nodes {
