@@ -427,7 +427,7 @@ fn boxes_of_a_python_stage_that_no_object_can_have_are_named() {
     for part in [
         "boxes were not taken from the program of fusion.fusion, because no object can have such numbers (the first has a distance of \
          1.000e30 m)",
-        "mend the program",
+        "correct the program",
     ] {
         assert!(notes.contains(part), "no `{part}` in\n{notes}");
     }

@@ -1,6 +1,6 @@
 //! What time it is on this machine, and how sure the machine is of it.
 //!
-//! Drivers and gateways read clocks; operators are told what time it is.
+//! Drivers and gateways read clocks; operators get the time from their driver.
 
 use std::sync::LazyLock;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};

@@ -550,7 +550,7 @@ fn refuses_modules_that_a_process_cannot_host() {
     let cases = [
         (
             format!("{head}{}", stage("inner", "args: host sense.yml")),
-            "module node `ego.inner`: it stands in a module that `ego` hosts: write `module: sense.yml`",
+            "module node `ego.inner`: it is in a module that `ego` hosts: write `module: sense.yml`",
         ),
         (
             format!(

@@ -160,7 +160,7 @@ fn identify(
         return Err(match node.is_realo() {
             true => format!("node `{}`: no operator or node of `realo operators`: `{args}`", node.id),
             false => format!(
-                "node `{}`: {} is no stage of realo, and only dora runs it; a plug-in is a node with `path: bin/realo` and \
+                "node `{}`: {} is not a stage of realo, and only dora runs it; a plug-in is a node with `path: bin/realo` and \
                  `args: program PATH`",
                 node.id,
                 node.path.display()
@@ -282,7 +282,7 @@ mod tests {
         let cases = [
             (
                 "{ id: a, path: viewer.py }".to_string(),
-                "node `a`: viewer.py is no stage of realo, and only dora runs it",
+                "node `a`: viewer.py is not a stage of realo, and only dora runs it",
             ),
             (
                 "{ id: a, path: bin/realo, args: operator rely x=1 }".into(),

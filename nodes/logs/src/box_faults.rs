@@ -139,7 +139,7 @@ impl Faults {
         let implausible = self.first.map(|(stamp, fault)| {
             format!(
                 "{topic}: {} of {} boxes are left out, because no object can have such numbers: the first, at {:.3} s, has {fault}; \
-                 {PLAUSIBLE_BOX}: mend the program that wrote them",
+                 {PLAUSIBLE_BOX}: correct the program that wrote them",
                 self.count,
                 self.of,
                 to_seconds(stamp)

@@ -110,14 +110,25 @@ impl<'a> Merge<'a> {
     pub fn of_common_time(self) -> Result<Self, LogError> {
         let [common, _] = self.spans();
         if common[0] >= common[1] {
-            return Err(LogError::Merge(
-                "there is no time that all logs have; merge fewer logs, or leave the common time out".into(),
-            ));
+            return Err(self.no_common_time(common));
         }
         Ok(Merge {
             within: Some(common),
             ..self
         })
+    }
+
+    fn no_common_time(&self, [from, until]: [Nanos; 2]) -> LogError {
+        let path_of = |is: &dyn Fn([Nanos; 2]) -> bool| {
+            let index = (0..self.logs.len()).find(|index| self.span(*index).is_some_and(is));
+            self.logs[index.unwrap_or_default()].path().display()
+        };
+        let gap = to_millis(from - until) * 1e-3;
+        LogError::Merge(format!(
+            "{} begins {gap:.3} s after {} ends, so no time is in all logs: merge fewer logs, or drop --common",
+            path_of(&|[first, _]| first == from),
+            path_of(&|[_, last]| last == until),
+        ))
     }
 
     /// Whether a message is of the time that is written; by its stamp, which a sweep and its boxes share.
@@ -235,7 +246,7 @@ impl<'a> Merge<'a> {
             if from > last || until < first {
                 let gap = to_millis(if from > last { from - last } else { first - until }) * 1e-3;
                 return Err(LogError::Merge(format!(
-                    "{path} has no time in common with {}: by its clock {gap:.3} s lie between them; expected recordings of one \
+                    "{path} has no time in common with {}: they are {gap:.3} s apart by its clock; expected recordings of one \
                      drive, or say what its clock is ahead (--clock {}=MS)",
                     self.logs[0].path().display(),
                     names(self.logs[index].info()).next().unwrap_or_default()
@@ -304,7 +315,7 @@ fn clocks(logs: &[Log], given: &BTreeMap<String, Nanos>) -> Result<Vec<Known>, L
         let (first, log) = (&logs[0], &logs[index]);
         let agent = names(log.info()).next().unwrap_or_default();
         return Err(LogError::Merge(format!(
-            "no log tells how the clock of {} lies to that of {}: expected logs of agents that heard each other over the radio; \
+            "no log gives the offset between the clocks of {} and {}: expected logs of agents that heard each other over the radio; \
              or say it, in ms: --clock {agent}=0 where both machines keep one time (GNSS, PTP)",
             log.path().display(),
             first.path().display()

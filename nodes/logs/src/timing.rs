@@ -370,7 +370,7 @@ mod tests {
         let said = joined(off.clone(), every(100, 0, 90));
         assert_eq!(said.len(), 1, "{said:?}");
         let words =
-            "20 of 20 messages have the stamp of no sweep: the nearest lies 35.100 s away: looks like TAI against UTC";
+            "20 of 20 messages have the stamp of no sweep: the nearest is 35.100 s away: looks like TAI against UTC";
         assert!(said[0].contains(words), "{said:?}");
         assert!(joined(every(100, 0, 90), off.clone())[0].contains(words));
         // The clock jumps midway; a clock is late.

@@ -2,12 +2,12 @@
 
 use realo_schemas::Nanos;
 
-/// How far the nearest of some times is, in words: "the nearest lies 12.000 ms away"; `None`: there is none.
+/// How far the nearest of some times is, in words: "the nearest is 12.000 ms away"; `None`: there is none.
 pub fn nearest_words(far: Option<Nanos>) -> String {
     match far.map(Nanos::unsigned_abs) {
         None => "there is none".into(),
-        Some(far) if far < 1_000_000_000 => format!("the nearest lies {:.3} ms away", far as f64 * 1e-6),
-        Some(far) => format!("the nearest lies {:.3} s away", far as f64 * 1e-9),
+        Some(far) if far < 1_000_000_000 => format!("the nearest is {:.3} ms away", far as f64 * 1e-6),
+        Some(far) => format!("the nearest is {:.3} s away", far as f64 * 1e-9),
     }
 }
 
@@ -32,8 +32,8 @@ mod tests {
 
     #[test]
     fn times_are_said_in_their_unit_and_with_their_side() {
-        assert_eq!(nearest_words(Some(-12_000_000)), "the nearest lies 12.000 ms away");
-        assert_eq!(nearest_words(Some(37_000_000_000)), "the nearest lies 37.000 s away");
+        assert_eq!(nearest_words(Some(-12_000_000)), "the nearest is 12.000 ms away");
+        assert_eq!(nearest_words(Some(37_000_000_000)), "the nearest is 37.000 s away");
         assert_eq!(nearest_words(None), "there is none");
         assert_eq!([side(-1), side(1)], ["earlier than", "later than"]);
         assert_eq!((seconds(-1_500_000_000), millis(1_500_000)), ("1.500".to_string(), 2));

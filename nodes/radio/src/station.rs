@@ -246,7 +246,7 @@ impl Station {
                 return;
             };
             if !peer.unplaced.is_empty() {
-                self.events.push(peer.pass_over(0, name));
+                self.events.push(peer.skip(0, name));
             } else if !peer.receiver.forget_largest() {
                 return;
             }

@@ -11,9 +11,6 @@ pub enum RecorderError {
     /// The log is closed.
     #[error("a message after the log was finished")]
     LogFinished,
-    /// Nobody is named.
-    #[error("setting `agent`: expected whose sensors are recorded, found nothing")]
-    Agent,
     /// The log's folder cannot be made.
     #[error("setting `path`: {}: {}", .0.display(), .1)]
     Folder(PathBuf, #[source] std::io::Error),

@@ -19,12 +19,12 @@ pub struct Settings {
     #[setting(default = "sensors.mcap", role = "recording", filled)]
     pub path: PathBuf,
     /// Whose sensors they are.
-    #[setting(role = "ego")]
+    #[setting(role = "ego", filled)]
     pub agent: String,
-    /// What the agent is, `vehicle` or `roadside`, where `like` does not tell.
+    /// What the agent is, `vehicle` or `roadside`, where `like` does not say.
     #[setting(default = AgentKind::Vehicle)]
     pub kind: AgentKind,
-    /// A log with this agent, which tells its kind, outline and sensor: the one that is played; empty = none.
+    /// A log with this agent, which gives its kind, outline and sensor: the one that is played; empty = none.
     #[setting(role = "log")]
     pub like: PathBuf,
     /// Whether sweeps have points.
@@ -34,7 +34,7 @@ pub struct Settings {
 
 /// Records what an agent's sensors gave, as a log; `realo merge` joins those of several agents.
 #[derive(Describe)]
-#[stage(output = NoOutput, examine = check)]
+#[stage(output = NoOutput)]
 pub struct LogRecorder {
     agent: String,
     points: bool,
@@ -61,16 +61,8 @@ pub enum Input {
     Peers(Header, Report),
 }
 
-fn check(settings: &Settings) -> Result<(), RecorderError> {
-    match settings.agent.is_empty() {
-        true => Err(RecorderError::Agent),
-        false => Ok(()),
-    }
-}
-
 impl Sink for LogRecorder {
     fn build(settings: Settings) -> Result<Self, Error> {
-        check(&settings)?;
         let info = info(&settings)?;
         if let Some(folder) = settings.path.parent() {
             std::fs::create_dir_all(folder).map_err(|error| RecorderError::Folder(folder.into(), error))?;

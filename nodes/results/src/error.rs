@@ -5,9 +5,6 @@ use realo_schemas::{Header, Name};
 /// Why results are not taken.
 #[derive(Debug, thiserror::Error)]
 pub enum ResultsError {
-    /// Nowhere to write.
-    #[error("setting `out`: expected a folder, found nothing")]
-    NoFolder,
     /// The run's settings cannot be read.
     #[error("setting `run_settings`: {}: {error}", .file.display())]
     RunFile {
@@ -18,7 +15,7 @@ pub enum ResultsError {
         error: std::io::Error,
     },
     /// The run's settings are something else.
-    #[error("setting `run_settings`: {}: not what a run tells of itself: {error}", .file.display())]
+    #[error("setting `run_settings`: {}: expected the settings that `realo run` writes: {error}; run it again by `realo run`", .file.display())]
     RunSettings {
         /// Their file.
         file: PathBuf,

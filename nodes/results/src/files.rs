@@ -240,9 +240,7 @@ fn refused(file: &Path, reason: std::io::Error) -> FilesError {
     let hint = match reason.kind() {
         ErrorKind::StorageFull | ErrorKind::QuotaExceeded => "; free some space or choose another disk (setting `out`)",
         ErrorKind::PermissionDenied | ErrorKind::ReadOnlyFilesystem => "; choose another folder (setting `out`)",
-        ErrorKind::NotADirectory | ErrorKind::AlreadyExists => {
-            "; a file stands where a folder is needed (setting `out`)"
-        }
+        ErrorKind::NotADirectory | ErrorKind::AlreadyExists => "; a file is where a folder is needed (setting `out`)",
         _ => "",
     };
     FilesError::Write {
@@ -437,7 +435,7 @@ mod tests {
         std::fs::write(&file, "").unwrap();
         let error = write_run(&file, &run("one")).unwrap_err().to_string();
         assert!(
-            error.contains("out") && error.contains("a file stands where a folder is needed"),
+            error.contains("out") && error.contains("a file is where a folder is needed"),
             "{error}"
         );
     }

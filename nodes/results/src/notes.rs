@@ -91,7 +91,7 @@ pub(crate) fn unscored(result: &RunResult) -> Vec<String> {
 /// Objects or detections of which some were not scored.
 struct Unscored<'a> {
     what: &'static str,
-    /// Who can mend their numbers.
+    /// Who can correct their numbers.
     producer: &'static str,
     protocol: &'a str,
     /// The egos, as a sentence begins with them.
@@ -111,7 +111,7 @@ impl Unscored<'_> {
         }
         if dropped.invalid > 0 && !is_named {
             let why = format!(
-                "no object can have such numbers; {PLAUSIBLE_BOX}: mend {}",
+                "no object can have such numbers; {PLAUSIBLE_BOX}: correct {}",
                 self.producer
             );
             said.push(self.whose.to_string() + &self.line(dropped.invalid, &why));

@@ -21,7 +21,7 @@ pub struct Settings {
     /// Folder of the files; an earlier run's files in it are replaced.
     #[setting(default = "../target/realo/run", role = "out", filled)]
     pub out: PathBuf,
-    /// File with what the result tells of the run (JSON); empty = the graph is named as the folder is.
+    /// File with the settings of the run that the result reports (JSON); empty = the graph is named as the folder is.
     #[setting(role = "run_settings")]
     pub run_settings: PathBuf,
 }
@@ -119,9 +119,6 @@ pub enum Input {
 
 impl Sink for Results {
     fn build(settings: Settings) -> Result<Self, Error> {
-        if settings.out.as_os_str().is_empty() {
-            return Err(ResultsError::NoFolder.into());
-        }
         claim(&settings.out)?;
         let RunSettings {
             log,

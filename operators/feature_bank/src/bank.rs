@@ -17,7 +17,7 @@ const HELD: usize = 16;
 pub enum BankError {
     /// A stamp that lies after the message's arrival.
     #[error(
-        "{message}: the stamp lies {by_ms} ms after its arrival, at most {limit_ms} are allowed (setting `ahead_ms`); the sender's clock is wrong"
+        "{message}: the stamp is {by_ms} ms after its arrival, max {limit_ms} (setting `ahead_ms`); the sender's clock is wrong"
     )]
     Ahead {
         /// The message.

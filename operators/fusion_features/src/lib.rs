@@ -21,7 +21,7 @@ use serde::{Deserialize, Serialize};
 /// Settings of [`FusionFeatures`].
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 pub struct Settings {
-    /// The model file, whose arch fuses; its weights lie beside it.
+    /// The model file, whose arch fuses; its weights are in the same folder.
     #[setting(default = "../models/lite-attfuse.toml", role = "model")]
     pub model: PathBuf,
     /// Collaborators that a fusion takes, the nearest to the ego; null = as many as the model takes.

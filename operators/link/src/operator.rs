@@ -69,7 +69,7 @@ impl TooEarly {
 pub enum LinkError {
     /// Another agent speaks where the ego should.
     #[error(
-        "the ego's lane carries a message of {agent}, the ego is {ego}; mend the wiring, or the setting `ego` of the link"
+        "the ego's lane carries a message of {agent}, the ego is {ego}; correct the wiring, or the setting `ego` of the link"
     )]
     NotTheEgo {
         /// Who speaks.
@@ -78,7 +78,7 @@ pub enum LinkError {
         ego: Name,
     },
     /// The ego speaks where the others should.
-    #[error("the others' lane carries a message of the ego, {0}; mend the wiring")]
+    #[error("the others' lane carries a message of the ego, {0}; correct the wiring")]
     TheEgo(Name),
     /// A position that is not a number.
     #[error("position ({0}, {1}) is not finite")]

@@ -44,7 +44,7 @@ pub struct Tensor {
 pub enum WeightsError {
     /// The file cannot be read.
     #[error(
-        "{}: {error}; weights lie beside their model file, under the model's `name` or as its `weights` and `encoder` say: \
+        "{}: {error}; weights are in the folder of their model file, under the model's `name` or as its `weights` and `encoder` say: \
          `realo-lab checkpoint convert` makes them of a PyTorch checkpoint, `realo-lab train` trains detectors and V2X-ViT's fusion",
         path.display()
     )]

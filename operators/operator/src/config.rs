@@ -150,10 +150,27 @@ fn without_types<C: StageSettings>(key: &str, error: &str) -> String {
         _ => return error.into(),
     };
     let setting = C::SETTINGS.iter().find(|setting| setting.name == key);
-    match setting.and_then(|setting| setting.range) {
+    let range = setting.and_then(|setting| setting.range);
+    if let (Some(range), Some(max)) = (range.and_then(|range| range.strip_prefix("at least ")), max_of(of)) {
+        return format!("expected {what} from {range} to {max}");
+    }
+    match range {
         Some(range) => format!("expected {what}, {range}"),
-        None if of.starts_with('u') => format!("expected {what}, at least 0"),
+        None if of.starts_with('u') => match max_of(of) {
+            Some(max) => format!("expected {what} from 0 to {max}"),
+            None => format!("expected {what}, at least 0"),
+        },
         None => format!("expected {what}"),
+    }
+}
+
+/// The greatest whole number of a type that people may exceed.
+fn max_of(name: &str) -> Option<u32> {
+    match name {
+        "u8" => Some(u8::MAX.into()),
+        "u16" => Some(u16::MAX.into()),
+        "u32" => Some(u32::MAX),
+        _ => None,
     }
 }
 
@@ -165,7 +182,7 @@ fn read_value(default: &Value, text: &str) -> Result<Value, String> {
             Ok(Value::Array(items.map(read_yaml).collect::<Result<_, _>>()?))
         }
         _ if text.trim().is_empty() => {
-            Err("expected a value, found nothing; the default stands where the setting is left out".into())
+            Err("expected a value, found nothing; leave the setting out to get its default".into())
         }
         _ if is_not_finite(text) => Err("expected a finite number".into()),
         _ if text.trim().parse::<f64>().is_ok_and(f64::is_infinite) => {
@@ -288,7 +305,7 @@ mod tests {
             ),
             (
                 "window_ms=",
-                "setting `window_ms`: `` does not fit: expected a value, found nothing; the default stands where the setting is left out",
+                "setting `window_ms`: `` does not fit: expected a value, found nothing; leave the setting out to get its default",
             ),
             (
                 "threshold=1e999",
@@ -300,7 +317,7 @@ mod tests {
             ),
             (
                 "window_ms=99999999999",
-                "setting `window_ms`: `99999999999` does not fit: expected a whole number, at least 1",
+                "setting `window_ms`: `99999999999` does not fit: expected a whole number from 1 to 4294967295",
             ),
             (
                 "threshold=many",

@@ -29,7 +29,7 @@ pub trait Describe {
     /// Looks at settings and the files that they name before a run; opens no socket and writes nothing.
     ///
     /// # Errors
-    /// What its `new` would say of that.
+    /// What its `build` would say of that.
     fn examine(settings: &Self::Settings) -> Result<(), Error> {
         let _ = settings;
         Ok(())
@@ -38,7 +38,7 @@ pub trait Describe {
 
 /// A pure stage of a graph: messages in, messages out.
 ///
-/// It reads no clock, socket or environment, opens no file after `new`, and does not know which driver runs it.
+/// It reads no clock, socket or environment, opens no file after `build`, and does not know which driver runs it.
 pub trait Operator: Describe + Sized {
     /// Builds the stage, files and weights included. The settings are inside their declared ranges.
     ///

@@ -68,7 +68,18 @@ fn setting(field: &Field) -> Result<Setting<'_>> {
         is_filled: false,
         part: None,
     };
-    for Word { name, value, .. } in words(&field.attrs, "setting")? {
+    let given = words(&field.attrs, "setting")?;
+    let has = |word: &str| given.iter().any(|given| given.name == word);
+    if has("filled") && has("range") {
+        return Err(Error::new(name.span(), "expected `filled` or `range`, found both"));
+    }
+    if has("flatten") && given.len() > 1 {
+        return Err(Error::new(
+            name.span(),
+            "expected `flatten` alone, found other words beside it",
+        ));
+    }
+    for Word { name, value, .. } in given {
         match name.to_string().as_str() {
             "default" => setting.default = default(value),
             "range" => setting.range = Some((value.clone(), range_words(&name, &value)?)),
@@ -295,6 +306,22 @@ mod tests {
                 .unwrap_err()
                 .contains("expected `default`, `range`, `role`, `path`, `filled` or `flatten`")
         );
+        let both = derived(quote!(
+            struct Settings {
+                #[doc = "Name"]
+                #[setting(filled, range = 0..1)]
+                name: String,
+            }
+        ));
+        assert!(both.unwrap_err().contains("`filled` or `range`, found both"));
+        let beside = derived(quote!(
+            struct Settings {
+                #[doc = "Part"]
+                #[setting(flatten, role = "model")]
+                part: Part,
+            }
+        ));
+        assert!(beside.unwrap_err().contains("`flatten` alone"));
         let error = derived(quote!(
             enum Settings {
                 One,

@@ -116,7 +116,7 @@ mod tests {
     }
 
     #[test]
-    fn what_is_no_stage_does_not_compile() {
+    fn refuses_what_is_not_a_stage() {
         let cases = [
             (
                 quote!(

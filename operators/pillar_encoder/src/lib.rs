@@ -18,14 +18,14 @@ use serde::{Deserialize, Serialize};
 /// Settings of [`PillarEncoder`].
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 pub struct Settings {
-    /// The model file; its weights lie beside it.
+    /// The model file; its weights are in the same folder.
     #[setting(default = "../models/lite.toml", role = "model", filled)]
     pub model: PathBuf,
     /// How the network is computed.
     #[setting(flatten)]
     #[serde(flatten)]
     pub computing: Computing,
-    /// Whether maps tell how sure the model's head is of each cell, by which `transmission-encoder` can choose.
+    /// Whether maps hold the confidence of each cell, by which `transmission-encoder` can choose.
     pub confidence: bool,
     /// What numbers of maps leave a GPU as: `f32`, `f16`, or `int8` with a scale for each channel of each map.
     pub copied: Elements,

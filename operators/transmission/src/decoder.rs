@@ -13,8 +13,8 @@ pub struct Settings {
     pub max_bytes: usize,
     /// Where on Earth the origin of the map is, LAT,LON[,HEIGHT] in degrees and m (WGS84), for cpm.
     pub origin: Geodetic,
-    /// Take packets of this kind only, `points`, `features`, `boxes` or `agent_state`, for another decoder takes the others;
-    /// null = all.
+    /// Takes packets of one kind only, `points`, `features`, `boxes` or `agent_state`; null = all. Use it where several kinds
+    /// cross to one ego.
     pub kind: Option<Kind>,
 }
 

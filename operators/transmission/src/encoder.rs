@@ -49,7 +49,7 @@ pub struct Settings {
     /// Agents that are roadside units, by name, separated by commas; others are vehicles; for cpm.
     #[setting(role = "roadside")]
     pub roadside: String,
-    /// Most objects of a cpm, the surest ones; 30 fit one frame of a radio.
+    /// Max objects of a CPM; the surest go first; 30 fit one radio frame.
     #[setting(default = OBJECTS, range = 1..=255)]
     pub max_objects: usize,
 }
@@ -80,7 +80,7 @@ const INVALID_BOXES: Counter = Counter::loss(
     "boxes that were not sent: not finite, without extent or above 100 m, or with a score outside [0, 1]",
     "boxes were not sent, because no object can have such numbers: they are not finite, their size is not 0 to 100 m or their score \
      not 0 to 1",
-    "mend the stage that sends them to {node}",
+    "correct the stage that sends them to {node}",
 );
 const BOUNDED_FEATURES: Counter = Counter::loss(
     "bounded_features",

@@ -93,6 +93,18 @@ pub const LARGEST_M: f64 = 100.0;
 pub const PLAUSIBLE_BOX: &str = "expected are finite numbers in the frame of the agent, sizes of 0 to 100 m, distances up to 10 km and \
                                  scores of 0 to 1";
 
+/// What a plausible detection is and what to do, in words for messages: the text of a counter has to be a literal.
+#[macro_export]
+macro_rules! plausible_detection {
+    ($fix:literal) => {
+        concat!(
+            "expected are finite numbers in the frame of the agent, their velocity and covariance included, sizes of 0 to 100 m, ",
+            "distances up to 10 km, speeds up to 1,000 m/s and scores of 0 to 1: ",
+            $fix
+        )
+    };
+}
+
 /// Whether every number is finite, every extent above 0 and at most [`LARGEST_M`], and the score in [0, 1].
 pub fn is_valid(object: &Box3) -> bool {
     let extents = [object.length, object.width, object.height];

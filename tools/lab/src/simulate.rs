@@ -61,7 +61,7 @@ pub struct Args {
     /// Leaves the points out; poses, truth and recorded detections are the same
     #[arg(long)]
     no_clouds: bool,
-    /// Where the place lies in the map: east,north in metres [default: 0,0]
+    /// Origin of the place in the map: east,north in metres [default: 0,0]
     #[arg(long, value_delimiter = ',', hide_default_value = true, num_args = 1, default_values_t = [0.0, 0.0])]
     map_offset: Vec<f64>,
     /// The vehicles' sensors, dealt out in turn: names of built-in ones, or files that end in .toml

@@ -7,7 +7,7 @@ use eyre::{Result, bail};
 use realo_cli::find::model as find_model;
 use realo_cli::{Outcome, Progress, signals};
 use realo_methods::Model;
-use realo_training::data::{Augmentation, LeftOut, LoggedData};
+use realo_training::data::{Augmentation, LeftOut, LoggedData, PARTNER_REACH};
 use realo_training::layers::Arithmetic;
 use realo_training::optimizer::OptimizerSettings;
 use realo_training::{
@@ -305,16 +305,19 @@ fn show(progress: &Progress, far: &realo_training::Progress) {
 /// What the ways of a validation are.
 pub(crate) fn ways(validation: &Validation) -> String {
     let meaning = |way: &str| match way {
-        "alone" => "by the ego's points",
-        "merged" => "by the points of all agents within 70 m in one cloud",
-        "by sender" => "fused, maps of points that senders brought to the ego's frame",
-        _ => "fused, maps that the receiver brought to its frame",
+        "alone" => Some("by the ego's points".to_string()),
+        "merged" => Some(format!(
+            "by the points of all agents within {PARTNER_REACH} m in one cloud"
+        )),
+        "by sender" => Some("fused, maps of points that senders brought to the ego's frame".into()),
+        "by receiver" => Some("fused, maps that the receiver brought to its frame".into()),
+        _ => None,
     };
     let all = validation.classes.first().map(|class| class.reached.iter());
     let said = all
         .into_iter()
         .flatten()
-        .map(|(way, _)| format!("{way}: {}", meaning(way)));
+        .map(|(way, _)| meaning(way).map_or_else(|| way.to_string(), |meaning| format!("{way}: {meaning}")));
     format!("({})", said.collect::<Vec<_>>().join("; "))
 }
 

@@ -78,7 +78,9 @@ pub fn main(args: &Args) -> Result<Outcome> {
             ),
         }
     }
-    let [common, any] = merge.spans().map(|[from, until]| to_millis(until - from) * 1e-3);
+    let [common, any] = merge
+        .spans()
+        .map(|[from, until]| (to_millis(until - from) * 1e-3).max(0.0));
     if args.common {
         merge = merge.of_common_time()?;
     } else if any - common > APART {

@@ -38,7 +38,7 @@ pub fn about_boxes(scene: &Scene, left_out: usize) -> Vec<String> {
     let mut notes = vec!["Boxes: class and score; the line points ahead. The ego faces right.".to_string()];
     let scores = scene.judged.detected.iter().map(|detected| detected.score);
     if let Some(min) = scores.min_by(f32::total_cmp) {
-        notes.push(format!("Drawn is all that the run found, down to a score of {min:.2}."));
+        notes.push(format!("All boxes of the run are drawn; the lowest score is {min:.2}."));
     }
     let mut note = |condition: bool, text: String| {
         if condition {

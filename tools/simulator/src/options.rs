@@ -92,7 +92,7 @@ impl Phase {
     /// All, with their names and what they mean.
     pub const ALL: &[(Phase, &str, &str)] = &[(Phase::Locked, "locked", ""), (Phase::Spread, "spread", "")];
 
-    /// What a reader of a log is told of it.
+    /// What the reader of a log learns of it.
     pub fn about(self) -> &'static str {
         match self {
             Phase::Locked => "the agents' sweeps start together",

@@ -34,13 +34,13 @@ impl Engine {
             node: running.stage.id.to_string(),
             overflow,
         })?;
-        self.pass_over(stage);
+        self.skip_waiting(stage);
         self.open.push_back((stage, server));
         Ok(())
     }
 
     /// Says of messages over links that a stage will never be given that it passed them over.
-    pub(super) fn pass_over(&mut self, stage: usize) {
+    pub(super) fn skip_waiting(&mut self, stage: usize) {
         let gone = self.stages[stage].intake.take_skipped();
         let fates: Vec<Fated> = gone
             .iter()
@@ -110,7 +110,7 @@ impl Engine {
             return None;
         }
         self.stages[stage].intake.close();
-        self.pass_over(stage);
+        self.skip_waiting(stage);
         let running = &mut self.stages[stage];
         running.life = Life::Ending;
         let mut books = Box::new(Books::default());

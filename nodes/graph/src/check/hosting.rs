@@ -88,7 +88,7 @@ fn plug_in(node: &FlatNode, answer: Answer, findings: &mut Findings) -> Option<&
     match answer {
         Some(Ok(registration)) => return Some(registration),
         Some(Err(reason)) => {
-            let mend = "mend it, or name another program";
+            let mend = "correct it, or name another program";
             // The finding names the node.
             let own = reason.strip_prefix(&format!("node `{}`: ", node.id)).unwrap_or(&reason);
             findings.node(

@@ -47,7 +47,10 @@ fn unknown_key(deploy: &Value) -> Option<(String, String, String)> {
     let written = deploy.as_mapping().into_iter().flatten();
     let mut written = written.map(|(key, _)| key.as_str().unwrap_or_default());
     let key = written.find(|key| !KEYS.contains(key))?;
-    let hint = nearest_name(key, KEYS.iter().copied()).map_or(String::new(), |name| format!("did you mean `{name}`?"));
+    let hint = nearest_name(key, KEYS.iter().copied()).map_or_else(
+        || "remove it: dora does not read it".to_string(),
+        |name| format!("did you mean `{name}`?"),
+    );
     Some((
         format!("a `deploy` with {}", KEYS.join(", ")),
         format!("`{}`", shown(key)),

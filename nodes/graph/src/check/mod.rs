@@ -39,8 +39,8 @@ pub struct Finding {
     pub expected: String,
     /// What is there.
     pub found: String,
-    /// How to mend it.
-    pub mend: String,
+    /// How to correct it.
+    pub fix: String,
 }
 
 impl fmt::Display for Finding {
@@ -57,10 +57,10 @@ impl fmt::Display for Finding {
             (node, Some(port)) => write!(f, "node `{node}`, port `{port}`: ")?,
         }
         write!(f, "expected {}, found {}", self.expected, self.found)?;
-        if self.mend.is_empty() {
+        if self.fix.is_empty() {
             Ok(())
         } else {
-            write!(f, "; {}", self.mend)
+            write!(f, "; {}", self.fix)
         }
     }
 }
@@ -161,7 +161,7 @@ impl Findings {
             port: None,
             expected,
             found,
-            mend,
+            fix: mend,
         });
     }
 
@@ -173,7 +173,7 @@ impl Findings {
             port: None,
             expected,
             found,
-            mend,
+            fix: mend,
         });
     }
 
@@ -193,7 +193,7 @@ impl Findings {
             port,
             expected: expected.into(),
             found,
-            mend: mend.into(),
+            fix: mend.into(),
         });
     }
 }

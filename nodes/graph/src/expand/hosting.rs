@@ -70,7 +70,7 @@ impl Expansion<'_> {
                 file: file.into(),
                 node: node.id.clone(),
                 reason: format!(
-                    "it stands in a module that `{host}` hosts: write `module: {module}`, its stages run in the same process"
+                    "it is in a module that `{host}` hosts: write `module: {module}`, its stages run in the same process"
                 ),
             }),
             _ => Ok(()),

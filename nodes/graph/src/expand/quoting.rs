@@ -19,7 +19,8 @@ pub(super) fn check(args: &str, given: &BTreeMap<String, String>, root: &Path) -
             continue;
         };
         let (key, text) = (shown(key), shown(value));
-        let mend = format!("its words are words of the command line: quote what is one value, as {key}: \"'{text}'\"");
+        let mend =
+            format!("spaces separate a value from its settings: quote a value that has some, as {key}: \"'{text}'\"");
         if root.join(value).exists() {
             return Err(format!(
                 "parameter `{key}`: expected a value in quotes, found a file whose name has spaces, `{text}`; {mend}"

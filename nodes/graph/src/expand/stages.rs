@@ -73,6 +73,8 @@ fn leave_out(stages: &mut Vec<Node>, outlets: &Outlets) {
     stages.retain(|stage| needed.contains(&stage.id));
 }
 
+/// Refuses an input of a stage that is wired past the module's inputs.
+///
 /// dora gives a process what its own inputs name and nothing else.
 fn past_the_module(host: &Node, stages: &[Node]) -> Result<(), String> {
     let inside: BTreeSet<&str> = stages.iter().map(|stage| stage.id.as_str()).collect();
@@ -98,13 +100,30 @@ fn take_inputs(stages: &mut [Node], host: &str, setting: &str) -> Result<(), Str
     let Some(((inner, _), other)) = takes.filter(|((_, key), _)| *key == flat::TAKES) else {
         return Ok(());
     };
-    let find = |inner: &str| stages.iter().position(|stage| stage.id == format!("{host}.{inner}"));
-    let (Some(taker), Some(other)) = (find(inner), find(other)) else {
-        return Err(format!("setting `{}`: no stage of this name", shown(setting)));
+    let find = |inner: &str| {
+        let found = stages.iter().position(|stage| stage.id == format!("{host}.{inner}"));
+        found.ok_or_else(|| no_stage(&shown(setting), inner, &names_within(stages, host)))
     };
+    let (taker, other) = (find(inner)?, find(other)?);
     stages[taker].inputs = stages[other].inputs.clone();
     stages[taker].starved = stages[other].starved;
     Ok(())
+}
+
+/// The stages that a host has, by their names in it.
+fn names_within(stages: &[Node], host: &str) -> Vec<String> {
+    let within = |stage: &Node| stage.id.strip_prefix(host)?.strip_prefix('.').map(str::to_string);
+    stages.iter().filter_map(within).collect()
+}
+
+fn no_stage(setting: &str, inner: &str, known: &[String]) -> String {
+    let nearest = nearest_name(inner, known.iter().map(String::as_str));
+    let hint = error::hint(&nearest);
+    let names = known.join(", ");
+    format!(
+        "setting `{setting}`: no stage `{}`{hint}; there are: {names}",
+        shown(inner)
+    )
 }
 
 /// Changes a setting of a hosted stage: `stage.key=value`.
@@ -114,18 +133,9 @@ pub(super) fn set(stages: &mut [Node], host: &str, setting: &str) -> Result<(), 
     let (left, value) = setting.split_once('=').ok_or_else(wrong)?;
     let (inner, key) = left.rsplit_once('.').ok_or_else(wrong)?;
     let id = format!("{host}.{inner}");
-    let known: Vec<String> = stages
-        .iter()
-        .filter_map(|stage| stage.id.strip_prefix(host)?.strip_prefix('.').map(str::to_string))
-        .collect();
+    let known = names_within(stages, host);
     let Some(stage) = stages.iter_mut().find(|stage| stage.id == id) else {
-        let nearest = nearest_name(inner, known.iter().map(String::as_str));
-        let hint = error::hint(&nearest);
-        return Err(format!(
-            "setting `{written}`: no stage `{}`{hint}; there are: {}",
-            shown(inner),
-            known.join(", ")
-        ));
+        return Err(no_stage(&written, inner, &known));
     };
     if key == flat::STAGE {
         stage.args = Some(value.into());

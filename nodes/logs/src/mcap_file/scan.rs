@@ -74,7 +74,7 @@ impl Scan {
     pub(super) fn complete_until(&self, last: Option<u64>) -> Option<u64> {
         match self.all_data {
             true => last.map(|last| last.saturating_add(1)),
-            // Lanes are cut at different times: what one lacks, the others' messages cannot do without.
+            // Groups are cut at different times: what one lacks, the others' messages cannot do without.
             false => self.groups.values().map(|reach| reach.complete_until()).min(),
         }
     }

@@ -21,9 +21,9 @@ const LEAST_HOLDS: Nanos = 10_000 * MS;
 /// with so much of what fills it on the way.
 const EMPTIED: f64 = 0.75;
 /// Parts go out so much faster than the way carries them, lest it be idle and to see whether it carries more.
-const HASTE: f64 = 1.25;
+const SEND_RATE_FACTOR: f64 = 1.25;
 /// The same at most while it was just found to carry more.
-const GREATER_HASTE: f64 = 2.0;
+const MAX_SEND_RATE_FACTOR: f64 = 2.0;
 /// What goes out in greater haste may stand in queues for so many times the usual, until something is heard of it.
 const EXCESS: f64 = 2.5;
 /// A rate so much greater than those before says that the way carries more.
@@ -144,20 +144,20 @@ impl Window {
             self.set_out = (now, self.delivered + bytes as u64);
         }
         let grows = self.grew.is_some_and(|then| now - then < MEMORY);
-        let haste = if grows { self.greater_haste() } else { HASTE };
-        let time = self.rate().map_or(0.0, |rate| bytes as f64 / (rate * haste) * 1e9);
+        let factor = if grows { self.raised_factor() } else { SEND_RATE_FACTOR };
+        let time = self.rate().map_or(0.0, |rate| bytes as f64 / (rate * factor) * 1e9);
         self.crossed = self.crossed.max(now) + time as Nanos;
     }
 
     /// How much faster than is known parts go out while the way may carry more. Of a window that goes out before anything is heard of it,
     /// the way carries meanwhile what it is known to, at least.
-    fn greater_haste(&self) -> f64 {
+    fn raised_factor(&self) -> f64 {
         let Some((min, _)) = self.min else {
-            return GREATER_HASTE;
+            return MAX_SEND_RATE_FACTOR;
         };
         let window = (min + self.queue) as f64;
-        let goes_in = (window - EXCESS * self.queue as f64).max(window / GREATER_HASTE);
-        (window / goes_in).max(HASTE)
+        let goes_in = (window - EXCESS * self.queue as f64).max(window / MAX_SEND_RATE_FACTOR);
+        (window / goes_in).max(SEND_RATE_FACTOR)
     }
 
     /// Bytes came in, at `received` on the peer's clock, that had gone out at `sent`.

@@ -58,7 +58,7 @@ impl Peer {
                     self.place(now.log, name, events);
                     let mut same = (0..self.unplaced.len()).filter(|place| self.unplaced[*place].kind == kind);
                     if let (Some(oldest), UNPLACED..) = (same.next(), same.count()) {
-                        events.push(self.pass_over(oldest, name));
+                        events.push(self.skip(oldest, name));
                     }
                 }
             }
@@ -93,7 +93,7 @@ impl Peer {
         }
     }
 
-    pub(super) fn pass_over(&mut self, place: usize, name: &Name) -> Event {
+    pub(super) fn skip(&mut self, place: usize, name: &Name) -> Event {
         let message = self.unplaced.remove(place);
         Event::Skipped(name.clone(), MessageId::from(&message))
     }

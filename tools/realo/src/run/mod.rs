@@ -212,7 +212,7 @@ pub fn check_networks(mut graph: FlatGraph, model: Option<&Path>) -> Result<()> 
         nodes::set_model(&mut graph, model)?;
     }
     Networks::default().check(&graph)?;
-    check_nodes(&graph)
+    check_nodes(&graph, Asked::All)
 }
 
 /// The same without loading a network: looks whether models and weights are there.
@@ -222,25 +222,26 @@ pub fn check_networks(mut graph: FlatGraph, model: Option<&Path>) -> Result<()> 
 pub fn check_files(mut graph: FlatGraph, model: Option<&Path>) -> Result<()> {
     nodes::anchor_paths(&mut graph)?;
     networks::find_all(&graph, model)?;
-    check_nodes(&graph)
+    check_nodes(&graph, Asked::All)
 }
 
-/// Has every node say what keeps it from a run, before its process does.
+/// Which nodes are asked what keeps them from a run.
+#[derive(Clone, Copy, PartialEq)]
+enum Asked {
+    All,
+    /// They need no log.
+    Operators,
+}
+
+/// Has nodes say what keeps them from a run, before their processes do.
 ///
 /// # Errors
 /// What all those say.
-fn check_nodes(graph: &FlatGraph) -> Result<()> {
+fn check_nodes(graph: &FlatGraph, asked: Asked) -> Result<()> {
     says(graph, |known, settings| match known.role {
         Role::Operator => build(known, settings),
+        _ if asked == Asked::Operators => Ok(()),
         Role::Source | Role::Sink | Role::Gateway => (known.examine)(settings),
-    })
-}
-
-/// The same of operators alone, which need no log.
-fn check_operators(graph: &FlatGraph) -> Result<()> {
-    says(graph, |known, settings| match known.role {
-        Role::Operator => build(known, settings),
-        Role::Source | Role::Sink | Role::Gateway => Ok(()),
     })
 }
 

@@ -104,7 +104,7 @@ pub fn keys(node: &FlatNode) -> BTreeSet<String> {
 }
 
 /// Makes the paths in a graph's arguments and in their defaults absolute: it may be started from another folder than its
-/// own, from which they are seen.
+/// own, to which they are relative.
 pub fn anchor_paths(graph: &mut FlatGraph) -> Result<()> {
     let folder = std::path::absolute(graph.file.parent().unwrap_or(Path::new(".")))?;
     for node in &mut graph.nodes {
@@ -123,7 +123,7 @@ pub fn anchor_paths(graph: &mut FlatGraph) -> Result<()> {
     Ok(())
 }
 
-/// Whether the value of a setting is a path that is seen from `folder`. One that begins with `./` or `../` is, and one with a
+/// Whether the value of a setting is a path relative to `folder`. One that begins with `./` or `../` is, and one with a
 /// `/` or an ending where something has that name; the model of a network always. A stage says which of its settings are
 /// paths. A program (`known` is `None`) does not; there all may be but numbers.
 pub fn is_path(known: Option<&Registration>, key: &str, value: &str, folder: &Path) -> bool {
@@ -146,7 +146,7 @@ mod tests {
     use super::*;
 
     #[test]
-    fn a_number_is_no_path_wherever_a_file_has_its_name() {
+    fn a_number_is_not_a_path_even_if_a_file_has_its_name() {
         let folder = tempfile::tempdir().unwrap();
         for name in ["0.2", "a.toml"] {
             std::fs::write(folder.path().join(name), "").unwrap();

@@ -248,9 +248,9 @@ impl Planner<'_> {
         refuse_to_overwrite(&graph, &self.logs)?;
         check(&graph)?;
         let checked = match self.mode {
-            Mode::Realtime => super::check_nodes(&graph),
+            Mode::Realtime => super::check_nodes(&graph, super::Asked::All),
             // In virtual time the others are built before anything is started.
-            Mode::Virtual => super::check_operators(&graph),
+            Mode::Virtual => super::check_nodes(&graph, super::Asked::Operators),
         };
         checked.map_err(|error| eyre!("{} cannot run:\n  {error}", self.graph.file.display()))?;
         Ok(graph)
@@ -312,7 +312,7 @@ pub fn lane(args: &Args) -> Result<LaneRun> {
         .find_map(|profile| profile.stranger(|id| base.node(id).is_some()))
     {
         bail!(
-            "--compute: it names `{stranger}`, which is no stage of {}",
+            "--compute: it names `{stranger}`, which is not a stage of {}",
             path.display()
         );
     }
@@ -365,8 +365,8 @@ fn settings(args: &Args) -> Result<Vec<Setting>> {
     set.iter().map(|text| Ok(text.parse()?)).collect()
 }
 
-/// The graph of a file with what the options put into it. Paths that are set become absolute: they are seen from where the
-/// user is.
+/// The graph of a file with what the options put into it. Paths that are set become absolute: they are relative to where
+/// the user is.
 fn base_graph(args: &Args, set: &mut [Setting], path: &Path) -> Result<FlatGraph> {
     let graph = Graph::load(path)?;
     let graph = if args.choices.recorded_detections {

@@ -208,7 +208,7 @@ fn watched(
     if let Some(stranger) = compute.stranger(|id| graph.node(id).is_some()) {
         let known: Vec<&str> = graph.nodes.iter().map(|node| node.id.as_str()).collect();
         return Err(eyre!(
-            "the compute profile names `{stranger}`, which is no stage of {}; there are: {}",
+            "the compute profile names `{stranger}`, which is not a stage of {}; there are: {}",
             graph.file.display(),
             known.join(", ")
         ));

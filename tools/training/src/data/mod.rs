@@ -24,5 +24,5 @@ pub use loader::{Batch, Input, Recipe};
 pub(crate) use loader::{LATER, gather};
 pub use logged::{LoggedData, LoggedFrames};
 pub(crate) use maps::{MapEncoder, Party, Project};
-pub use sample::{Augmentation, Cast, Sample};
+pub use sample::{Augmentation, Cast, REACH as PARTNER_REACH, Sample};
 pub(crate) use sample::{Scene, near};

@@ -17,7 +17,7 @@ use crate::layers::PillarFrame;
 use crate::random::Stream;
 
 /// How far collaborators are from the ego at most, m.
-const REACH: f64 = 70.0;
+pub const REACH: f64 = 70.0;
 
 /// Points of all who take part that an object needs to be one.
 const LEAST_POINTS: f64 = 5.0;

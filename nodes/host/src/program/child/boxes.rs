@@ -10,8 +10,7 @@ const REFUSED: Counter = Counter::loss(
     "boxes of a plug-in that were not taken: not finite, without extent or above 100 m, more than 10 km away, faster than 1,000 m/s, or \
      with a score outside [0, 1]",
     "boxes were not taken from the program of {node}, because no object can have such numbers",
-    "expected are finite numbers in the frame of the agent, sizes of 0 to 100 m, distances up to 10 km and scores of 0 to 1: mend \
-     the program",
+    realo_schemas::plausible_detection!("correct the program"),
 );
 
 /// Takes boxes that no object can have out of a message, and counts them.
