@@ -623,7 +623,7 @@ fn what_a_node_cannot_run_with_is_found_by_validate() {
         (
             "log-recorder agent=$PARAM_AGENT",
             "log-recorder",
-            "node `log`: setting `agent`",
+            "found setting `agent`: expected a value, found nothing",
         ),
     ] {
         let (code, said) = validate((from, to));
