@@ -399,7 +399,7 @@ mod tests {
         };
         assert!(said(Some(every(200, 0, 0))).contains("10 of 20 sweeps have no pose: poses come every 200 ms"));
         assert!(said(Some(every(200, 0, 0)[..1].to_vec())).contains("19 of 20 sweeps have no pose: it has one pose"));
-        assert!(said(Some(every(50, 0, 0)[..20].to_vec())).contains("the nearest lies"));
+        assert!(said(Some(every(50, 0, 0)[..20].to_vec())).contains("the nearest is"));
         assert!(said(None).contains("no poses: write /car/pose"));
     }
 

@@ -447,7 +447,7 @@ fn a_row_for_each_run_as_a_reader_sees_it() {
     for part in [
         "vehicle, pedestrian, truck: AP of the class (average precision",
         "mAP: mean of the classes' AP. ",
-        "age: age of the data that were fused",
+        "age: from the stamp of the data",
         "note: one log, 6 scored frames: there is no 95 % interval",
     ] {
         assert!(foot.contains(part), "no `{part}` in: {foot}");
