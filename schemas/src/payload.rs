@@ -250,6 +250,24 @@ pub struct Box3 {
     pub covariance: Option<[f64; 9]>,
 }
 
+impl Box3 {
+    /// A box of score 1 of which no more is known: centre (m), length, width and height (m), heading (rad), in the header's frame.
+    pub fn new(class: impl Into<Name>, center: [f64; 3], [length, width, height]: [f64; 3], yaw: f64) -> Self {
+        Box3 {
+            center,
+            length,
+            width,
+            height,
+            yaw,
+            velocity: None,
+            class: class.into(),
+            score: 1.0,
+            track: None,
+            covariance: None,
+        }
+    }
+}
+
 /// Detections, or any list of boxes, in the header's frame.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Boxes(pub Vec<Box3>);

@@ -3,20 +3,11 @@
 use std::path::{Path, PathBuf};
 
 use crate::common::{self, changed_graph, folder, json, realo_ok};
-use crate::scene::Scene;
+use crate::scene::{Scene, run_into};
 
 fn run(graph: &Path, log: &Path, out: PathBuf, more: &[&str]) -> PathBuf {
-    let shown = |path: &Path| path.to_string_lossy().into_owned();
-    let fixed = [
-        "run",
-        &shown(graph),
-        "--recorded-detections",
-        "--offline",
-        "--ego",
-        "car",
-    ];
-    let paths = ["--log", &shown(log), "--out", &shown(&out)];
-    realo_ok([&fixed[..], &paths, more].concat());
+    let output = run_into(&out, "car", graph, log, &[&["--offline"], more].concat());
+    assert!(output.status.success(), "{}", common::text(&output.stderr));
     out
 }
 

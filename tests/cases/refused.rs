@@ -4,7 +4,7 @@ use std::fs;
 use std::path::Path;
 
 use crate::common::{self, folder, realo, text};
-use crate::scene::{Scene, run};
+use crate::scene::{Scene, run, run_into};
 
 /// What `realo validate --no-start` and `realo run` say of late fusion with this change of its files; both must fail.
 fn refused(test: &str, change: (&str, &str)) -> [String; 2] {
@@ -170,28 +170,16 @@ fn roadside_units_that_the_log_does_not_have_are_refused() {
 fn results_of_another_version_are_not_resumed_over() {
     let log = Scene::default().write("refused-resume-log");
     let out = folder("refused-resume");
-    let [log, to] = [&log, &out].map(|path| path.to_string_lossy().into_owned());
     let graph = common::graph("late_fusion");
-    let args = [
-        "run",
-        &graph,
-        "--offline",
-        "--recorded-detections",
-        "--ego",
-        "car",
-        "--log",
-        &log,
-        "--out",
-        &to,
-    ];
-    assert!(realo(args).status.success());
-    let of_log = out.join(Path::new(&log).file_stem().expect("a name"));
+    let run = |more: &[&str]| run_into(&out, "car", Path::new(&graph), &log, &[&["--offline"], more].concat());
+    assert!(run(&[]).status.success());
+    let of_log = out.join(log.file_stem().expect("a name"));
     let result = of_log.join("car/result.json");
     let old = fs::read_to_string(&result)
         .expect("a result")
         .replace("\"version\": 2", "\"version\": 1");
     fs::write(&result, &old).expect("it can be written");
-    let output = realo([&args[..], &["--resume"]].concat());
+    let output = run(&["--resume"]);
     let said = text(&output.stderr);
     assert_eq!(output.status.code(), Some(1), "{said}");
     assert!(said.contains("version 1") && said.contains("drop --resume"), "{said}");

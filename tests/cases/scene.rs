@@ -9,6 +9,7 @@ use std::collections::BTreeMap;
 use std::fs::{self, File};
 use std::io::BufWriter;
 use std::path::{Path, PathBuf};
+use std::process::Output;
 
 use realo_logs::{AgentInfo, AgentKind, LogInfo, LogWriter, McapFile};
 use realo_schemas::{AgentState, Box3, Boxes, Nanos, PointCloud, Pose, PoseStatus};
@@ -368,9 +369,20 @@ pub fn run(graph: &str, log: &Path, name: &str, more: &[&str]) -> Ran {
 /// The same with another ego.
 pub fn run_ego(ego: &str, graph: &str, log: &Path, name: &str, more: &[&str]) -> Ran {
     let out = common::folder(&format!("ran-{name}-{graph}"));
-    let graph = common::graph(graph);
-    let (log, folder) = (log.to_string_lossy(), out.to_string_lossy());
-    let mut args = vec![
+    let output = run_into(&out, ego, Path::new(&common::graph(graph)), log, more);
+    let result = out.join("result.json");
+    Ran {
+        code: output.status.code().unwrap_or(-1),
+        out: common::text(&output.stdout),
+        err: common::text(&output.stderr),
+        result: result.exists().then(|| common::json(&result)),
+    }
+}
+
+/// Runs a graph in a file over a log with recorded detections, results into a folder that stays as it is.
+pub fn run_into(out: &Path, ego: &str, graph: &Path, log: &Path, more: &[&str]) -> Output {
+    let [graph, log, out] = [graph, log, out].map(Path::to_string_lossy);
+    let fixed = [
         "run",
         &graph,
         "--log",
@@ -379,17 +391,9 @@ pub fn run_ego(ego: &str, graph: &str, log: &Path, name: &str, more: &[&str]) ->
         ego,
         "--recorded-detections",
         "--out",
-        &folder,
+        &out,
     ];
-    args.extend(more);
-    let output = common::realo(&args);
-    let result = out.join("result.json");
-    Ran {
-        code: output.status.code().unwrap_or(-1),
-        out: common::text(&output.stdout),
-        err: common::text(&output.stderr),
-        result: result.exists().then(|| common::json(&result)),
-    }
+    common::realo([&fixed[..], more].concat())
 }
 
 #[test]

@@ -1,5 +1,7 @@
 use std::path::{Path, PathBuf};
 
+use realo_operator::config::did_you_mean;
+
 /// Why a graph could not be read or changed.
 #[derive(Debug, thiserror::Error)]
 pub enum GraphError {
@@ -32,7 +34,7 @@ pub enum GraphError {
         found: String,
     },
     /// A key that dora does not have there.
-    #[error("{}: {at}: unknown key `{key}`{}; there may be: {known}", file.display(), hint(.nearest))]
+    #[error("{}: {at}: unknown key `{key}`{}; there may be: {known}", file.display(), did_you_mean(.nearest))]
     Key {
         /// The file.
         file: PathBuf,
@@ -72,7 +74,7 @@ pub enum GraphError {
         nodes: Vec<String>,
     },
     /// An input from a node that does not exist.
-    #[error("{}: node `{node}`, input `{port}`: no node `{source_id}`{}", file.display(), hint(.nearest))]
+    #[error("{}: node `{node}`, input `{port}`: no node `{source_id}`{}", file.display(), did_you_mean(.nearest))]
     Source {
         /// The graph.
         file: PathBuf,
@@ -86,7 +88,7 @@ pub enum GraphError {
         nearest: Option<String>,
     },
     /// A node that a setting names and the graph does not have.
-    #[error("{}: no node `{id}`{}; the graph has: {known}", file.display(), hint(.nearest))]
+    #[error("{}: no node `{id}`{}; the graph has: {known}", file.display(), did_you_mean(.nearest))]
     UnknownNode {
         /// The graph.
         file: PathBuf,
@@ -134,12 +136,4 @@ impl GraphError {
             reason,
         }
     }
-}
-
-/// ` (did you mean …?)`, or nothing.
-pub(super) fn hint(nearest: &Option<String>) -> String {
-    nearest
-        .as_ref()
-        .map(|name| format!(" (did you mean `{name}`?)"))
-        .unwrap_or_default()
 }

@@ -244,8 +244,7 @@ pub const INVALID_TRUTH: Counter = Counter::log_fault(
     "boxes of the ego's ground truth and own labels that are not scored: not finite, without extent or above 100 m, more than 10 km \
      away, or with a score outside [0, 1]",
     "objects of the ground truth were not scored, because no object can have such numbers",
-    "expected are finite numbers in the frame of the agent, sizes of 0 to 100 m, distances up to 10 km and scores of 0 to 1: correct \
-     the program that wrote them",
+    realo_schemas::plausible_box!("correct the program that wrote them"),
 );
 pub const DETECTIONS_WITHOUT_SWEEP: Counter = Counter::log_fault(
     "detections_without_sweep",

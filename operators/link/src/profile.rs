@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
-use realo_operator::config::nearest_name;
+use realo_operator::config::{did_you_mean, nearest_name};
 use realo_schemas::{Kind, report};
 use serde::Deserialize;
 
@@ -170,10 +170,7 @@ impl Profile {
             Some("toml") => Profile::from_toml,
             Some("yml" | "yaml") => Profile::from_yaml,
             _ => {
-                let nearest = nearest_name(name, BUILT_IN.iter().map(|(known, _)| *known));
-                let hint = nearest
-                    .map(|known| format!(" (did you mean `{known}`?)"))
-                    .unwrap_or_default();
+                let hint = did_you_mean(&nearest_name(name, BUILT_IN.iter().map(|(known, _)| *known)));
                 return Err(ProfileError::Unknown {
                     name: name.into(),
                     hint,

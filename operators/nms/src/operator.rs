@@ -61,8 +61,7 @@ const INVALID_BOXES: Counter = Counter::loss(
     "invalid_boxes",
     "boxes dropped: not finite, without extent or above 100 m, more than 10 km away, or with a score outside [0, 1]",
     "boxes were left out by {node}, because no object can have such numbers",
-    "expected are finite numbers in the frame of the agent, sizes of 0 to 100 m, distances up to 10 km and scores of 0 to 1: correct \
-     the stage that sends them to {node}",
+    realo_schemas::plausible_box!("correct the stage that sends them to {node}"),
 );
 const OUTSIDE_BOXES: Counter = Counter::plain("outside_boxes", "boxes dropped: not wholly in the region");
 const LOW_SCORE_BOXES: Counter = Counter::plain("low_score_boxes", "boxes dropped: below the min score");

@@ -63,8 +63,10 @@ impl ConfigError {
     }
 }
 
-fn did_you_mean(name: &Option<String>) -> String {
-    name.as_ref()
+/// ` (did you mean …?)` of the nearest name, or nothing.
+pub fn did_you_mean(nearest: &Option<String>) -> String {
+    nearest
+        .as_ref()
         .map(|name| format!(" (did you mean `{name}`?)"))
         .unwrap_or_default()
 }
@@ -184,25 +186,19 @@ fn read_value(default: &Value, text: &str) -> Result<Value, String> {
         _ if text.trim().is_empty() => {
             Err("expected a value, found nothing; leave the setting out to get its default".into())
         }
-        _ if is_not_finite(text) => Err("expected a finite number".into()),
-        _ if text.trim().parse::<f64>().is_ok_and(f64::is_infinite) => {
-            Err("expected a finite number, at most about 1.8e308".into())
-        }
         _ => read_yaml(text),
     }
 }
 
-/// Whether a text is what other languages write for what is no finite number.
-fn is_not_finite(text: &str) -> bool {
-    let word = text.trim().trim_start_matches(['+', '-']).to_ascii_lowercase();
-    ["nan", "inf", "infinity"].contains(&word.as_str())
-}
-
+/// Reads a value that is not a text.
 fn read_yaml(text: &str) -> Result<Value, String> {
-    // They would become null, which means something else.
-    let number = text.trim().trim_start_matches(['+', '-']).to_ascii_lowercase();
-    if [".nan", ".inf"].contains(&number.as_str()) {
+    // YAML's become null, which means something else; those of other languages would be texts.
+    let word = text.trim().trim_start_matches(['+', '-', '.']).to_ascii_lowercase();
+    if ["nan", "inf", "infinity"].contains(&word.as_str()) {
         return Err("expected a finite number".into());
+    }
+    if text.trim().parse::<f64>().is_ok_and(f64::is_infinite) {
+        return Err("expected a finite number, at most about 1.8e308".into());
     }
     realo_documents::yaml(text)
 }

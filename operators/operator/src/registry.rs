@@ -2,7 +2,7 @@ use realo_schemas::report::Fated;
 use realo_schemas::{Clock, Message, Nanos};
 use serde_json::Value;
 
-use crate::config::{ConfigError, defaults, nearest_name, parse};
+use crate::config::{ConfigError, defaults, did_you_mean, nearest_name, parse};
 use crate::{
     Books, Counter, Counts, Error, Gateway, Operator, Outputs, Port, PortId, SettingInfo, Sink, Source, StageInputs,
     StageOutputs, StageSettings, Waker,
@@ -262,10 +262,7 @@ impl Registry {
                 .filter(|entry| entry.word() == word)
                 .map(|entry| entry.name)
                 .collect();
-            let hint = nearest_name(name, known.iter().copied());
-            let hint = hint
-                .map(|name| format!(" (did you mean `{name}`?)"))
-                .unwrap_or_default();
+            let hint = did_you_mean(&nearest_name(name, known.iter().copied()));
             format!("unknown {word} `{name}`{hint}; there are: {}", known.join(", "))
         })
     }

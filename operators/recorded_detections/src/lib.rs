@@ -10,8 +10,7 @@ const INVALID_BOXES: Counter = Counter::log_fault(
     "invalid_boxes",
     "boxes dropped: not finite, without extent or above 100 m, more than 10 km away, or with a score outside [0, 1]",
     "recorded detections were left out, because no object can have such numbers",
-    "expected are finite numbers in the frame of the agent, sizes of 0 to 100 m, distances up to 10 km and scores of 0 to 1: correct \
-     the program that wrote them",
+    realo_schemas::plausible_box!("correct the program that wrote them"),
 );
 
 /// Recorded detections have no settings.

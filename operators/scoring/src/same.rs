@@ -85,18 +85,7 @@ mod tests {
     use super::*;
 
     fn truth(x: f64, points: [u32; 2]) -> GroundTruth {
-        let object = Box3 {
-            center: [x, 0.0, 0.8],
-            length: 4.0,
-            width: 2.0,
-            height: 1.6,
-            yaw: 0.0,
-            velocity: None,
-            class: "Car".into(),
-            score: 1.0,
-            track: None,
-            covariance: None,
-        };
+        let object = Box3::new("Car", [x, 0.0, 0.8], [4.0, 2.0, 1.6], 0.0);
         GroundTruth {
             boxes: vec![object],
             agents: vec!["cav1".into(), "rsu1".into()],

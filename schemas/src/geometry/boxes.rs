@@ -90,16 +90,26 @@ pub const FARTHEST_M: f64 = 10_000.0;
 pub const LARGEST_M: f64 = 100.0;
 
 /// What a plausible box is, in words for messages.
-pub const PLAUSIBLE_BOX: &str = "expected are finite numbers in the frame of the agent, sizes of 0 to 100 m, distances up to 10 km and \
-                                 scores of 0 to 1";
+pub const PLAUSIBLE_BOX: &str = crate::plausible_box!();
 
-/// What a plausible detection is and what to do, in words for messages: the text of a counter has to be a literal.
+/// What a plausible box is, and what to do, as a literal: the text of a counter has to be one.
+#[macro_export]
+macro_rules! plausible_box {
+    () => {
+        "expected are finite numbers in the frame of the agent, sizes of 0 to 100 m, distances up to 10 km and scores of 0 to 1"
+    };
+    ($fix:literal) => {
+        concat!($crate::plausible_box!(), ": ", $fix)
+    };
+}
+
+/// As [`plausible_box`](crate::plausible_box), of a detection, whose velocity and covariance count as well.
 #[macro_export]
 macro_rules! plausible_detection {
     ($fix:literal) => {
         concat!(
-            "expected are finite numbers in the frame of the agent, their velocity and covariance included, sizes of 0 to 100 m, ",
-            "distances up to 10 km, speeds up to 1,000 m/s and scores of 0 to 1: ",
+            $crate::plausible_box!(),
+            "; velocities and covariances are finite too, and speeds up to 1,000 m/s: ",
             $fix
         )
     };

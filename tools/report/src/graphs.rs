@@ -77,8 +77,10 @@ fn entry(runs: &[(&str, &Run)], changed: &BTreeSet<&str>, stage: &str, key: Opti
         .collect();
     let name = match key {
         None => stage.to_string(),
-        Some(key) if key.contains(' ') => format!("{stage}: {key}"),
-        Some(key) => format!("{stage}.{key}"),
+        Some(key) => match key.strip_prefix("settings.") {
+            Some(setting) => format!("{stage}.{setting}"),
+            None => format!("{stage}: {key}"),
+        },
     };
     let is_changed = |text: &str| changed.iter().any(|place| is_in(place, text));
     let is_explained = is_changed(&name) || values.iter().any(|(_, value)| is_changed(value));
@@ -86,7 +88,7 @@ fn entry(runs: &[(&str, &Run)], changed: &BTreeSet<&str>, stage: &str, key: Opti
     (differs && !is_explained).then(|| format!("{name} ({})", by_value(&values)))
 }
 
-/// Whether a text names a place: a stage, something of it, or an argument.
+/// Whether a text names a place: a stage, something of it, or a setting.
 fn is_in(place: &str, text: &str) -> bool {
     let rest = text.strip_prefix(place);
     rest.is_some_and(|rest| rest.is_empty() || rest.starts_with(['.', '/', ':']))
@@ -103,9 +105,9 @@ mod tests {
         run.result.settings.graph_hash = hash.into();
         for stage in stages {
             let entries = [
-                ("what it runs", "operator"),
-                ("window_ms", window),
-                ("input in", "fusion.bank/out"),
+                ("runs", "operator"),
+                ("settings.window_ms", window),
+                ("inputs.in", "fusion.bank/out"),
             ];
             let entries = entries.map(|(key, value)| (key.to_string(), value.to_string()));
             run.samples.graph.insert(stage.to_string(), entries.into());
@@ -132,8 +134,8 @@ mod tests {
         let mut wired = one.clone();
         wired.result.settings.graph_hash = "78".into();
         let entries = wired.samples.graph.get_mut("fusion.bank").unwrap();
-        entries.insert("input in".into(), "v2x/out".into());
-        let values = "fusion.bank: input in (fusion.bank/out in one; v2x/out in other)";
+        entries.insert("inputs.in".into(), "v2x/out".into());
+        let values = "fusion.bank: inputs.in (fusion.bank/out in one; v2x/out in other)";
         assert_eq!(said(&one, &wired), [format!("{expected}{values}")]);
         let mut bare = other.clone();
         bare.samples.graph.clear();

@@ -8,16 +8,8 @@ const MS: Nanos = 1_000_000;
 
 fn car(x: f64, score: f32) -> Box3 {
     Box3 {
-        center: [x, 0.0, 0.8],
-        length: 4.0,
-        width: 2.0,
-        height: 1.6,
-        yaw: 0.0,
-        velocity: None,
-        class: "Car".into(),
         score,
-        track: None,
-        covariance: None,
+        ..Box3::new("Car", [x, 0.0, 0.8], [4.0, 2.0, 1.6], 0.0)
     }
 }
 

@@ -49,21 +49,25 @@ pub(super) fn stage(
             "`realo operators` prints them",
         );
     }
-    if let Some((arg, parameter)) = node.parameter() {
-        let mend = format!("write `{parameter}` under the `params` of its module's node");
-        findings.node(
-            Severity::Error,
-            node,
-            "a value for each parameter",
-            format!("`{arg}`"),
-            &mend,
-        );
-    } else if let Some(arg) = node.settings().iter().find(|arg| variables::named(arg).is_some()) {
+    if !parameter(node, findings)
+        && let Some(arg) = node.settings().iter().find(|arg| variables::named(arg).is_some())
+    {
         let mend = "`$NAME` stands for what the `env` at the graph's head says, in the settings of the graph's own stages; a \
                     module's parameter only for what its node sets";
         findings.node(Severity::Warning, node, "values", format!("`{arg}`"), mend);
     }
     Some(stage)
+}
+
+/// Names a parameter that has no value; whether there is one.
+pub(super) fn parameter(node: &FlatNode, findings: &mut Findings) -> bool {
+    let Some((arg, parameter)) = node.parameter() else {
+        return false;
+    };
+    let fix = format!("write `{parameter}` under the `params` of its module's node");
+    let found = format!("`{arg}`");
+    findings.node(Severity::Error, node, "a value for each parameter", found, &fix);
+    true
 }
 
 /// A program that only dora runs.

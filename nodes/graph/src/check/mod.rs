@@ -121,10 +121,14 @@ pub fn misdeclared(node: &FlatNode, program: &'static Registration) -> Vec<Findi
     findings.0
 }
 
-/// What is wrong with where a graph's processes are to run; whoever runs all of them here does not need it, but it was written.
-pub fn deploy_findings(graph: &FlatGraph) -> Vec<Finding> {
+/// What is wrong with a graph although a run by options does not need it: where its processes are to run, and parameters without a
+/// value. The same graph is started without options too.
+pub fn written_findings(graph: &FlatGraph) -> Vec<Finding> {
     let mut findings = Findings::default();
     machines::check_deploy_keys(graph, &mut findings);
+    for node in &graph.nodes {
+        hosting::parameter(node, &mut findings);
+    }
     findings.0
 }
 

@@ -4,7 +4,7 @@ use realo_schemas::PayloadType;
 
 use super::{Findings, FlatGraph, FlatNode, Severity};
 use crate::{Input, OUTSIDE, TYPE_PREFIX};
-use realo_operator::config::nearest_name;
+use realo_operator::config::{did_you_mean, nearest_name};
 use realo_operator::{Port, Registration};
 
 /// The payload of a type of ours.
@@ -98,7 +98,7 @@ fn typed(
             Some(known) => allowed = Some(known),
             None => {
                 let all: Vec<&str> = ports.iter().map(|port| port.name).collect();
-                let hint = crate::error::hint(&nearest_name(port, all.iter().copied()));
+                let hint = did_you_mean(&nearest_name(port, all.iter().copied()));
                 let expected = format!(
                     "an {kind} of `{}`: {}",
                     stage.name,
@@ -135,8 +135,7 @@ fn typed(
         (None, None) if !base.starts_with(TYPE_PREFIX) => {}
         _ => {
             let all = PayloadType::ALL.map(|name| format!("{TYPE_PREFIX}{name}"));
-            let hint =
-                crate::error::hint(&nearest_name(base, all.iter().map(String::as_str)).filter(|near| near != base));
+            let hint = did_you_mean(&nearest_name(base, all.iter().map(String::as_str)).filter(|near| near != base));
             findings.port(
                 Severity::Error,
                 node,
@@ -186,10 +185,7 @@ fn sending_end(
 ) {
     let Some(sender) = graph.node(source) else {
         let nearest = nearest_name(source, graph.nodes.iter().map(|node| node.id.as_str()));
-        let found = format!(
-            "`{source}/{output}`: no node `{source}`{}",
-            crate::error::hint(&nearest)
-        );
+        let found = format!("`{source}/{output}`: no node `{source}`{}", did_you_mean(&nearest));
         return findings.port(
             Severity::Error,
             node,
@@ -203,7 +199,7 @@ fn sending_end(
         let nearest = nearest_name(output, sender.outputs.iter().map(String::as_str));
         let known = sender.outputs.iter().cloned().collect::<Vec<_>>().join(", ");
         let expected = format!("an output of `{source}`: {known}");
-        let found = format!("`{source}/{output}`{}", crate::error::hint(&nearest));
+        let found = format!("`{source}/{output}`{}", did_you_mean(&nearest));
         return findings.port(
             Severity::Error,
             node,

@@ -382,7 +382,7 @@ fn a_graph_for_machines_says_of_every_node_where_it_runs() {
     let placed = "path: bin/realo\n    deploy: { machine: compute, working_dir: ../../dataflows }";
     let all = graph(&graph_of_all(placed));
     assert_eq!(validate(&all, &REGISTRY), []);
-    assert_eq!(deploy_findings(&all), []);
+    assert_eq!(written_findings(&all), []);
     assert_eq!(all.machines(), ["compute"].into());
     assert!(all.on_one_machine() == graph(GRAPH));
     let but_one = graph(&changed(&graph_of_all(placed), placed, "path: bin/realo"));
@@ -409,7 +409,7 @@ fn a_graph_for_machines_says_of_every_node_where_it_runs() {
         "strict_types: true",
         "strict_types: true\ndeploy: { machin: compute }",
     );
-    let found = deploy_findings(&graph(&whole));
+    let found = written_findings(&graph(&whole));
     assert!(
         found.len() == 1
             && found[0]

@@ -4,7 +4,7 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
 
 use realo_documents::shown;
-use realo_operator::config::nearest_name;
+use realo_operator::config::{did_you_mean, nearest_name};
 
 use super::ports::no_output;
 use super::{Expansion, Outlets, as_dora, is_detection, stages};
@@ -227,7 +227,7 @@ fn has_outputs(outlets: &Outlets, of_stages: &Outlets, used: &BTreeSet<String>) 
     };
     let names = |outlets: &Outlets| outlets.keys().cloned().collect::<Vec<String>>().join(", ");
     let known = outlets.keys().chain(of_stages.keys()).map(String::as_str);
-    let hint = crate::error::hint(&nearest_name(output, known));
+    let hint = did_you_mean(&nearest_name(output, known));
     let module = match outlets.is_empty() {
         true => "it has none".to_string(),
         false => format!("it has: {}", names(outlets)),

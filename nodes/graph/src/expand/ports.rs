@@ -3,6 +3,8 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+use realo_operator::config::{did_you_mean, nearest_name};
+
 use super::hosting::{is_host, is_realo};
 use super::{Outlets, Producers};
 use crate::read::{Module, Node};
@@ -25,8 +27,8 @@ pub(super) fn check_params(module: &Module, outer: &Node) -> Result<(), String> 
         .find(|key| !named.contains(*key))
         .filter(|_| module.nodes.iter().all(ours))
     {
-        let nearest = realo_operator::config::nearest_name(unused, named.iter().map(String::as_str));
-        let hint = crate::error::hint(&nearest);
+        let nearest = nearest_name(unused, named.iter().map(String::as_str));
+        let hint = did_you_mean(&nearest);
         return Err(format!(
             "module `{}` has no parameter `{unused}`{hint}; it has: {}",
             module.name,
@@ -60,8 +62,8 @@ pub(super) fn check_inputs(module: &Module, outer: &Node) -> Result<(), String> 
         .collect();
     match outer.inputs.keys().find(|port| !declared.contains(&port.as_str())) {
         Some(port) => {
-            let nearest = realo_operator::config::nearest_name(port, declared.iter().copied());
-            let hint = crate::error::hint(&nearest);
+            let nearest = nearest_name(port, declared.iter().copied());
+            let hint = did_you_mean(&nearest);
             Err(format!(
                 "module `{}` has no input `{port}`{hint}; it has: {}",
                 module.name,
@@ -124,7 +126,7 @@ pub(super) fn outlets(module: &str, declared: &BTreeSet<String>, producers: &Pro
 
 /// That something has no output which a node takes.
 pub(super) fn no_output(output: &str, known: &[&str], taker: &str, port: &str) -> String {
-    let hint = crate::error::hint(&realo_operator::config::nearest_name(output, known.iter().copied()));
+    let hint = did_you_mean(&nearest_name(output, known.iter().copied()));
     let known = known.join(", ");
     format!("it has no output `{output}`{hint}, which node `{taker}` takes for its input `{port}`; it has: {known}")
 }

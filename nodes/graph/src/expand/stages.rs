@@ -3,11 +3,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use realo_documents::shown;
-use realo_operator::config::nearest_name;
+use realo_operator::config::{did_you_mean, nearest_name};
 
 use super::Outlets;
 use crate::read::Node;
-use crate::{Input, InputSource, error, flat};
+use crate::{Input, InputSource, flat};
 
 /// Refuses a setting that is given twice: the second would win without a word.
 pub(super) fn once_each(settings: &[String]) -> Result<(), String> {
@@ -118,7 +118,7 @@ fn names_within(stages: &[Node], host: &str) -> Vec<String> {
 
 fn no_stage(setting: &str, inner: &str, known: &[String]) -> String {
     let nearest = nearest_name(inner, known.iter().map(String::as_str));
-    let hint = error::hint(&nearest);
+    let hint = did_you_mean(&nearest);
     let names = known.join(", ");
     format!(
         "setting `{setting}`: no stage `{}`{hint}; there are: {names}",

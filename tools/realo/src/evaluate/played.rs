@@ -217,16 +217,8 @@ mod tests {
 
     fn car(x: f64) -> Box3 {
         Box3 {
-            center: [x, 0.0, 0.8],
-            length: 4.0,
-            width: 2.0,
-            height: 1.6,
-            yaw: 0.0,
-            velocity: None,
-            class: "Car".into(),
-            score: 1.0,
             track: Some(1),
-            covariance: None,
+            ..Box3::new("Car", [x, 0.0, 0.8], [4.0, 2.0, 1.6], 0.0)
         }
     }
 

@@ -6,7 +6,7 @@ use std::path::{Path, PathBuf};
 use eyre::{Result, bail};
 use realo_graph::{FlatGraph, FlatNode, Setting};
 use realo_logs::{AgentKind, Log, Stream};
-use realo_operator::config::nearest_name;
+use realo_operator::config::{did_you_mean, nearest_name};
 use realo_results::Settings;
 
 use super::limit::PERFECT;
@@ -99,10 +99,7 @@ impl Decisions<'_> {
                 .filter(|name| !name.is_empty())
                 .find(|name| !agents.contains(name))
             {
-                let hint = nearest_name(name, agents.iter().copied());
-                let hint = hint
-                    .map(|name| format!(" (did you mean `{name}`?)"))
-                    .unwrap_or_default();
+                let hint = did_you_mean(&nearest_name(name, agents.iter().copied()));
                 bail!(
                     "node `{}`: setting `{argument}`: expected names of agents of {}, which are {}, found `{name}`{hint}",
                     node.id,

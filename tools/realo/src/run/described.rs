@@ -31,10 +31,10 @@ const ELSEWHERE: &[&str] = &[
     roles::RUN_SETTINGS,
     roles::RECORDING,
 ];
-/// Digits of a hash.
-const DIGITS: usize = 8;
+/// What of a stage is a setting begins so; wires and variables have beginnings of their own.
+const SETTINGS: &str = "settings.";
 
-/// The stages of an expanded graph, with all settings and wires. No name of a setting has a blank, so other things have one.
+/// The stages of an expanded graph: of each what it `runs`, its `process`, `settings.KEY`, `inputs.PORT` and `env.NAME`.
 pub fn stages(graph: &FlatGraph) -> GraphStages {
     let nodes = graph.nodes.iter();
     nodes.map(|node| (node.id.clone(), described(node))).collect()
@@ -55,8 +55,7 @@ pub fn hash(stages: &GraphStages) -> String {
             add(value);
         }
     }
-    let digits: String = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
-    digits[..DIGITS].into()
+    named::digits(hash)
 }
 
 fn described(node: &FlatNode) -> BTreeMap<String, String> {
@@ -70,16 +69,16 @@ fn described(node: &FlatNode) -> BTreeMap<String, String> {
     };
     let keys = keys(node).into_iter().filter(|key| !elsewhere.contains(&key.as_str()));
     let mut found: BTreeMap<String, String> = keys
-        .filter_map(|key| value(&key).map(|value| (key, without_folder(&value))))
+        .filter_map(|key| value(&key).map(|value| (format!("{SETTINGS}{key}"), without_folder(&value))))
         .collect();
-    found.insert("what it runs".into(), runs(node));
-    found.extend(node.host.iter().map(|host| ("its process".into(), host.clone())));
+    found.insert("runs".into(), runs(node));
+    found.extend(node.host.iter().map(|host| ("process".into(), host.clone())));
     let inputs = node.inputs.iter();
-    found.extend(inputs.map(|(port, input)| (format!("input {port}"), wire(input))));
+    found.extend(inputs.map(|(port, input)| (format!("inputs.{port}"), wire(input))));
     for (name, value) in &node.env {
         let text = value.as_str().map(without_folder);
         let text = text.unwrap_or_else(|| serde_json::to_string(value).unwrap_or_default());
-        found.insert(format!("variable {name}"), text);
+        found.insert(format!("env.{name}"), text);
     }
     found
 }
@@ -139,7 +138,7 @@ mod tests {
     #[test]
     fn a_graph_is_known_by_stages_wires_and_settings() {
         let first = hash_of(&graph());
-        assert_eq!(first.len(), DIGITS);
+        assert_eq!(first.len(), named::DIGITS);
         let changes: [fn(&mut FlatGraph); 4] = [
             |graph| graph.set("fusion.bank", "window_ms", "7").unwrap(),
             |graph| _ = graph.nodes.pop(),

@@ -10,7 +10,7 @@ use realo_graph::{FlatGraph, Setting};
 use sha2::{Digest, Sha256};
 
 /// Digits of a hash.
-const DIGITS: usize = 8;
+pub const DIGITS: usize = 8;
 /// Modules of a program, and folders that are searched for them, at most.
 const MODULES: usize = 200;
 
@@ -25,8 +25,13 @@ fn with_hash(name: &str, files: &[PathBuf]) -> String {
     if files.is_empty() {
         return name.into();
     }
-    let digits: String = hash.finalize().iter().map(|byte| format!("{byte:02x}")).collect();
-    format!("{name}-{}", &digits[..DIGITS])
+    format!("{name}-{}", digits(hash))
+}
+
+/// The first digits of a hash, hexadecimal.
+pub fn digits(hash: Sha256) -> String {
+    let all = hash.finalize();
+    all.iter().take(DIGITS / 2).map(|byte| format!("{byte:02x}")).collect()
 }
 
 /// A file: `radio.toml-1a2b3c4d`.

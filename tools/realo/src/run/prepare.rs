@@ -403,16 +403,15 @@ fn base_graph(args: &Args, set: &mut [Setting], path: &Path) -> Result<FlatGraph
 /// them too.
 fn refuse_unfilled(graph: &FlatGraph) -> Result<()> {
     let file = graph.file.display();
-    if let Some(finding) = realo_graph::deploy_findings(graph).first() {
-        bail!("{file} cannot run:\n  {finding}");
+    let findings: Vec<String> = realo_graph::written_findings(graph)
+        .iter()
+        .map(ToString::to_string)
+        .collect();
+    if !findings.is_empty() {
+        bail!("{file} cannot run:\n  {}", findings.join("\n  "));
     }
     for node in &graph.nodes {
         let id = &node.id;
-        if let Some((setting, parameter)) = node.parameter() {
-            bail!(
-                "{file}: node `{id}`: `{setting}`: expected a value for it: write `{parameter}` under the `params` of its module's node"
-            );
-        }
         for decided in [roles::LOG, roles::OUT] {
             let defaults = registration(node).map(|known| (known.defaults)());
             let may_be_empty = |argument: &str| defaults.as_ref().is_some_and(|defaults| defaults[argument] == "");

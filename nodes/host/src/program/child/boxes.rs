@@ -35,18 +35,7 @@ mod tests {
 
     #[test]
     fn boxes_that_no_object_can_have_are_taken_out_and_counted() {
-        let good = Box3 {
-            center: [10.0, 0.0, 0.8],
-            length: 4.0,
-            width: 2.0,
-            height: 1.6,
-            yaw: 0.0,
-            velocity: None,
-            class: "Car".into(),
-            score: 1.0,
-            track: None,
-            covariance: None,
-        };
+        let good = Box3::new("Car", [10.0, 0.0, 0.8], [4.0, 2.0, 1.6], 0.0);
         let scored = |score| Box3 { score, ..good.clone() };
         let at = |x| Box3 {
             center: [x, 0.0, 0.8],
