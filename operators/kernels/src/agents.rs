@@ -139,22 +139,9 @@ pub fn sample(agent: &Agent, column: usize, row: usize, added: Option<&[f32]>, t
         to.fill(0.0);
         return false;
     }
-    let first = place.map(f64::floor);
-    let part = [0, 1].map(|axis| (place[axis] - first[axis]) as f32);
-    let corners = CORNERS.map(|corner| {
-        let weight = |axis: usize| {
-            if corner[axis] == 1 {
-                part[axis]
-            } else {
-                1.0 - part[axis]
-            }
-        };
-        let cell = [0, 1].map(|axis| first[axis] as isize + corner[axis]);
-        let inside = |axis: usize| usize::try_from(cell[axis]).ok().filter(|cell| *cell < size[axis]);
-        let (column, row) = (inside(0)?, inside(1)?);
-        let weight = weight(0) * weight(1);
-        (weight != 0.0 && is_there(column, row))
-            .then(|| (&map.data[(row * map.columns + column) * channels..][..channels], weight))
+    let corners = corners(place, size).map(|corner| {
+        let (column, row, weight) = corner.filter(|(column, row, _)| is_there(*column, *row))?;
+        Some((&map.data[(row * map.columns + column) * channels..][..channels], weight))
     });
     match (corners, added) {
         ([Some(a), Some(b), Some(c), Some(d)], None) => {
@@ -188,6 +175,44 @@ pub fn sample(agent: &Agent, column: usize, row: usize, added: Option<&[f32]>, t
         }
     }
     covered
+}
+
+/// The cells of a map of `[columns, rows]` around a place near it, as column, row and bilinear weight; those that count.
+#[inline(always)]
+fn corners(place: [f64; 2], size: [usize; 2]) -> [Option<(usize, usize, f32)>; 4] {
+    let first = place.map(f64::floor);
+    let part = [0, 1].map(|axis| (place[axis] - first[axis]) as f32);
+    CORNERS.map(|corner| {
+        let weight = |axis: usize| match corner[axis] {
+            1 => part[axis],
+            _ => 1.0 - part[axis],
+        };
+        let cell = [0, 1].map(|axis| first[axis] as isize + corner[axis]);
+        let inside = |axis: usize| usize::try_from(cell[axis]).ok().filter(|cell| *cell < size[axis]);
+        let (column, row) = (inside(0)?, inside(1)?);
+        let weight = weight(0) * weight(1);
+        (weight != 0.0).then_some((column, row, weight))
+    })
+}
+
+/// Leads the gradient of what [`sample`] gave for each of the ego's cells, `[rows, columns, channels]`, back to the cells of an
+/// agent's map, of which all are there: adds it to `to`.
+pub fn lead_back(agent: &Agent, columns: usize, gradient: &[f32], to: &mut [f32]) {
+    let (map, channels) = (agent.map, agent.map.channels);
+    let size = [map.columns, map.rows];
+    for (index, gradient) in gradient.chunks_exact(channels).enumerate() {
+        let place = agent.warp.at(index % columns, index / columns);
+        let near = |axis: usize| (-1.0..size[axis] as f64).contains(&place[axis]);
+        if !(near(0) && near(1)) {
+            continue;
+        }
+        for (column, row, weight) in corners(place, size).into_iter().flatten() {
+            let to = &mut to[(row * map.columns + column) * channels..][..channels];
+            to.iter_mut()
+                .zip(gradient)
+                .for_each(|(to, gradient)| *to += gradient * weight);
+        }
+    }
 }
 
 /// The cells around a place, as columns and rows from the first.

@@ -3,7 +3,7 @@
 use std::fmt;
 
 use realo_kernels::agents::Agent;
-use realo_kernels::by_cell::{CellFusion, fuse};
+use realo_kernels::by_cell::{CellDescent, CellFusion, descend, fuse};
 use realo_kernels::conv::{Isa, Pool};
 use realo_nn::layers::{FuseLayer, MapSize};
 use realo_nn::model::{Problems, Sharing};
@@ -61,12 +61,9 @@ pub trait Method:
         agents: &[tensors::Agent],
     ) -> candle_core::Result<candle_core::Tensor>;
 
-    /// How it is trained.
-    fn learning(&self) -> Learning {
-        match self.tensors(1).is_empty() {
-            true => Learning::Nothing,
-            false => Learning::OnMaps,
-        }
+    /// The fusion in training, of one that has no tensors and leads gradients back itself; else [`Method::operation`] does.
+    fn descent(&self, _layer: &FuseLayer) -> Option<Box<dyn Descent>> {
+        None
     }
 
     /// The numbers that a tensor has when training begins; `normal` draws from a normal distribution of deviation 1.
@@ -86,17 +83,6 @@ pub trait Method:
     fn of_reference(_config: &Value, _sharing: Sharing) -> Option<Result<Self, String>> {
         None
     }
-}
-
-/// How a method is trained.
-#[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Learning {
-    /// It has no weights: the network is trained as a detector of one agent, whose map the fusion leaves as it is.
-    Nothing,
-    /// Its weights and the heads are trained on agents' maps, behind another model's encoder.
-    OnMaps,
-    /// There is no training.
-    Never,
 }
 
 /// Numbers and instructions of a kernel.
@@ -120,6 +106,18 @@ pub struct ByCell<F>(pub F);
 impl<F: CellFusion + Send> Fuse for ByCell<F> {
     fn run(&self, agents: &[Agent], pool: &mut Pool) -> Vec<f32> {
         fuse(&self.0, agents, pool)
+    }
+}
+
+/// A fusion that leads gradients back to agents' maps.
+pub trait Descent: Fuse {
+    /// The gradients of the maps, the ego's first, from that of what [`Fuse::run`] made of them.
+    fn back(&self, agents: &[Agent], gradient: &[f32], pool: &mut Pool) -> Vec<Vec<f32>>;
+}
+
+impl<F: CellDescent + Send> Descent for ByCell<F> {
+    fn back(&self, agents: &[Agent], gradient: &[f32], pool: &mut Pool) -> Vec<Vec<f32>> {
+        descend(&self.0, agents, gradient, pool)
     }
 }
 

@@ -7,6 +7,7 @@ use candle_core::{DType, Device, Tensor, Var};
 use realo_kernels::agents::Agent;
 use realo_kernels::bev::BevMap;
 use realo_kernels::canvas::Canvas;
+use realo_kernels::conv::Pool;
 use realo_kernels::warp::Warp;
 use realo_methods::Model;
 use realo_methods::candle::{Copier, Elements, Engine, Error, Network, Watch};
@@ -259,6 +260,52 @@ fn gradients_lead_through_the_transformer_to_all_weights_that_count() -> candle_
             apart < 0.05 * f64::from(length) + 0.5,
             "{key}: grows by {grown}, gradient {length}"
         );
+    }
+    Ok(())
+}
+
+#[test]
+fn kernels_lead_gradients_back_as_the_operations_do() -> candle_core::Result<()> {
+    for model in models().iter().filter(|model| model.arch.fuses()) {
+        let layers = Layers::of(model);
+        let method = model.arch.method().expect("it fuses");
+        let layer = layers.fusion().expect("a layer that fuses");
+        let Some(descent) = method.descent(layer) else {
+            continue;
+        };
+        let maps = [1, 2, 3, 4].map(|seed| map(seed, layers.size(layers.restored)));
+        let along = map(9, layers.size(layers.fused)).data;
+        for (count, threads) in (1..=4).flat_map(|count| [(count, 1), (count, 3)]) {
+            let agents = crowd(&maps[..count]);
+            let found = descent.back(&agents, &along, &mut Pool::new(threads));
+            let size = |agent: &Agent| (agent.map.rows, agent.map.columns, agent.map.channels);
+            let variables = agents
+                .iter()
+                .map(|agent| Var::from_slice(agent.map.data, size(agent), &Device::Cpu));
+            let variables = variables.collect::<candle_core::Result<Vec<_>>>()?;
+            let placed = |(agent, variable): (&Agent, &Var)| {
+                Ok(tensors::Agent {
+                    map: AgentMap::Placed(Placed::new(variable.as_tensor(), &agent.warp, None)?),
+                    roadside: agent.roadside,
+                    delay: agent.delay,
+                })
+            };
+            let agents = agents
+                .iter()
+                .zip(&variables)
+                .map(placed)
+                .collect::<candle_core::Result<Vec<_>>>()?;
+            let made = method.operation(layer, &Tensors::new(HashMap::new()), &agents)?;
+            let loss = (&made * Tensor::from_slice(&along, made.dims(), &Device::Cpu)?)?.sum_all()?;
+            let expected = loss.backward()?;
+            for (index, (found, variable)) in found.iter().zip(&variables).enumerate() {
+                let what = format!("{}: agent {index} of {count} on {threads} threads", model.name);
+                match expected.get(variable) {
+                    Some(expected) if index < 3 => assert_near(found, &numbers(expected), &what),
+                    _ => assert!(found.iter().all(|number| *number == 0.0), "{what}"),
+                }
+            }
+        }
     }
     Ok(())
 }

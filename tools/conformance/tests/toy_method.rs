@@ -169,6 +169,7 @@ fn it_is_trained_and_the_trained_model_is_loaded() {
         fit_steps: false,
         seed: 3,
         batch: 2,
+        freeze: Vec::new(),
         frozen_norms: false,
         parts: 0.5,
         checkpoint_minutes: 1.0,

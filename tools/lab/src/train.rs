@@ -1,4 +1,4 @@
-//! `realo-lab train`: the detector, or V2X-ViT's fusion behind one, on the CPU.
+//! `realo-lab train`: a detector, or a network that fuses the maps of several agents, on the CPU.
 
 use std::ops::{ControlFlow, Range};
 use std::path::PathBuf;
@@ -11,7 +11,8 @@ use realo_training::data::{Augmentation, LeftOut, LoggedData, PARTNER_REACH};
 use realo_training::layers::Arithmetic;
 use realo_training::optimizer::OptimizerSettings;
 use realo_training::{
-    Before, ClassScore, Comparison, Data, FRAMES_APART, MAX_GAP_MS, News, TrainOptions, Trained, Validation, train_with,
+    Before, ClassScore, Comparison, Data, FRAMES_APART, MAX_GAP_MS, News, Part, TrainOptions, Trained, Validation,
+    train_with,
 };
 
 /// Trains a model on frames drawn straight from simulator seeds, or from logs with ground truth
@@ -20,7 +21,7 @@ pub struct Args {
     /// The model file, or the name of a shipped one
     #[arg(default_value = "lite")]
     model: PathBuf,
-    /// Begin with the weights of this model file, or shipped model; a V2X-ViT model keeps its encoder
+    /// Begin with the weights of this model file, or shipped model; what they lack, as a fusion, begins at random
     #[arg(long, value_name = "MODEL")]
     from: Option<PathBuf>,
     /// Folder of the results: checkpoint, weights, curve (CSV and SVG)
@@ -65,12 +66,15 @@ pub struct Args {
     /// Max learning rate [default: 2e-3; 5e-4 for a detector that begins with --from]
     #[arg(long)]
     rate: Option<f64>,
+    /// Parts of the network that stay as they are: encoder, fusion, heads
+    #[arg(long, value_name = "PART", value_delimiter = ',')]
+    freeze: Vec<Part>,
     /// Batch norms keep the statistics of the weights of --from, which are then the same for parts of the range and for the whole
     /// [default: true for a detector that begins with --from]
     #[arg(long, requires = "from", value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
     frozen_norms: Option<bool>,
     /// Probability that a step sees parts of the range, of the first two thirds of the steps: squares turned by any angle, at two
-    /// fifths of the cost; of a V2X-ViT model half of the range
+    /// fifths of the cost
     #[arg(long, default_value_t = 0.75)]
     parts: f64,
     /// Steps from one validation to the next
@@ -91,7 +95,7 @@ pub struct Args {
 const STEPS: u64 = 20_000;
 /// Max learning rate from random numbers, and of a fusion behind an encoder.
 const RATE: f64 = 2e-3;
-/// Max learning rate of a detector that begins with good weights: a few steps at the other one ruin them.
+/// Max learning rate of a network that begins with good weights: a few steps at the other one ruin them.
 const TUNING_RATE: f64 = 5e-4;
 /// Mean AP that is lost in silence, for it is not shown.
 const ROUNDING: f64 = 5e-4;
@@ -228,8 +232,8 @@ impl Args {
         let file = find_model(&self.model)?;
         let from = self.from.as_deref().map(find_model).transpose()?;
         let model = Model::read(&file)?;
-        // What is behind the encoder of a fusion begins with random numbers.
-        let is_tuned = from.is_some() && !realo_training::learns_to_fuse(&model);
+        // What is behind another file's encoder begins with random numbers.
+        let is_tuned = from.is_some() && model.encoder.is_none();
         let logged = |logs: &[PathBuf]| LoggedData {
             logs: logs.to_vec(),
             apart: self.apart,
@@ -259,6 +263,7 @@ impl Args {
             seed: self.seed,
             batch: self.batch,
             parts: self.parts,
+            freeze: self.freeze.clone(),
             frozen_norms: self.frozen_norms.unwrap_or(is_tuned),
             checkpoint_minutes: self.checkpoint_minutes,
             validate_every: self.validate_every,

@@ -1,6 +1,6 @@
 //! The state of a training: one file, replaced as a whole.
 
-use std::collections::{BTreeSet, HashMap};
+use std::collections::{BTreeSet, HashMap, HashSet};
 use std::path::{Path, PathBuf};
 
 use realo_methods::Model;
@@ -13,7 +13,7 @@ use serde_json::Value;
 use crate::TrainError;
 use crate::curve::{Curve, Point};
 use crate::data::{Augmentation, Decoys, Supply, write_whole};
-use crate::fusing::frozen;
+use crate::freeze::Frozen;
 use crate::layers::with_numbers;
 use crate::network::Network;
 use crate::optimizer::{AdamW, OptimizerSettings};
@@ -42,6 +42,8 @@ pub struct Checkpoint {
 pub struct TrainingPlan {
     /// The model.
     pub model: Model,
+    /// Parts of the network that stay as they are.
+    pub frozen: Frozen,
     /// Of all draws.
     pub seed: u64,
     /// Samples of a step.
@@ -177,7 +179,8 @@ impl Checkpoint {
         let steps =
             steps.ok_or_else(|| format!("`steps`: expected 0 to {} of the plan, found `{reported}`", plan.steps))?;
         let file = StateFile(SafeTensors::deserialize(bytes).map_err(|error| error.to_string())?);
-        let network = file.network(model)?;
+        let mut network = file.network(model)?;
+        network.freeze(&plan.frozen);
         let optimizer = file.optimizer(&network, steps)?;
         Ok(Checkpoint {
             network,
@@ -261,18 +264,17 @@ impl StateFile<'_> {
     }
 }
 
-/// Writes a network as the files of weights that inference reads; of two, the second gets what training leaves as it is.
+/// Writes a network as the files of weights that inference reads; of two, the second gets the encoder.
 ///
 /// # Errors
 /// [`TrainError::Write`].
 pub fn write_weights(network: &Network, files: &[PathBuf]) -> Result<(), TrainError> {
-    let frozen = frozen(network.model(), network.layers());
+    let of_encoder: HashSet<String> = network.layers().encoder().map(|spec| spec.key).collect();
     let mut parts: Vec<Tensors> = files.iter().map(|_| Tensors::default()).collect();
     for parameter in network.parameters() {
-        let part = if frozen.contains(&parameter.name) {
-            files.len() - 1
-        } else {
-            0
+        let part = match of_encoder.contains(&parameter.name) {
+            true => files.len() - 1,
+            false => 0,
         };
         with_numbers(&parameter.value, |values| {
             parts[part].add_f32(parameter.name.clone(), parameter.value.dims(), values);
@@ -323,6 +325,7 @@ mod tests {
             supply,
             plan: TrainingPlan {
                 model: model.clone(),
+                frozen: Frozen::default(),
                 seed: 1,
                 batch: 2,
                 steps: 2000,

@@ -1,12 +1,13 @@
-//! Trains the PointPillars detector, and fusions with weights behind its encoder, on the CPU.
+//! Trains detectors and networks that fuse the maps of several agents, on the CPU.
 //!
-//! Frames ([`data`]) become batches on a thread of their own; the detector ([`network`]) is made of custom operations
-//! ([`layers`]) that a [`tape`] leads gradients back through, the fusion of candle's; [`train`] is the loop around both.
+//! Frames ([`data`]) become batches on a thread of their own. A network ([`network`]) is made of custom operations ([`layers`]) that
+//! a [`tape`] leads gradients back through, its fusion of candle's. [`train`] is the loop around it.
 
 mod checkpoint;
 mod curve;
 pub mod data;
 mod error;
+mod freeze;
 mod fusing;
 pub mod layers;
 mod memory;
@@ -23,7 +24,8 @@ mod widen;
 pub use checkpoint::{Checkpoint, TrainingPlan, write_weights};
 pub use curve::{Curve, Point};
 pub use error::TrainError;
-pub use fusing::learns_to_fuse;
+pub use freeze::{Frozen, Part, UnknownPart};
+pub use fusing::fuses;
 pub use quantize::{Quantized, quantize};
 pub use realo_objective::{loss, targets};
 pub use scored::{Before, Comparison, FRAMES_APART, MAX_GAP_MS};

@@ -1,6 +1,6 @@
 //! The trainable PointPillars detector of a model.
 
-use std::collections::HashMap;
+use std::collections::{HashMap, HashSet};
 use std::sync::Arc;
 
 use crate::loss::{HeadMaps, Loss, LossWeights, loss};
@@ -8,11 +8,12 @@ use crate::targets::Targets;
 use candle_core::{Tensor, TensorId};
 use rayon::prelude::*;
 use realo_methods::Model;
-use realo_methods::method::Learning;
 use realo_nn::layers::{ConvLayer, Layer, Layers, MapId, PointLayer, Step};
 use realo_nn::tensors::{Role, TensorSpec, norm_key};
 
-use crate::fusing::{frozen, learning};
+use crate::data::{Batch, Member};
+use crate::freeze::Frozen;
+use crate::fusing::fuse;
 use crate::layers::{
     Arithmetic, Bias, Conv, MapShape, Moments, Norm, PillarBatch, PillarLayer, Pointwise, Statistics, WeightOrder,
     buffer, tensor, with_numbers,
@@ -80,6 +81,18 @@ impl Network {
     /// # Errors
     /// Those of candle.
     pub fn random(model: &Model, seed: u64) -> candle_core::Result<Self> {
+        Self::beginning(model, seed, |_| None)
+    }
+
+    /// A network that begins with given numbers for each tensor, and with random ones where there are none.
+    ///
+    /// # Errors
+    /// Those of candle.
+    pub(crate) fn beginning<'a>(
+        model: &Model,
+        seed: u64,
+        given: impl Fn(&TensorSpec) -> Option<&'a [f32]>,
+    ) -> candle_core::Result<Self> {
         let layers = Layers::of(model);
         let mut number = 0..;
         let mut values = Vec::new();
@@ -91,9 +104,10 @@ impl Network {
             let method = model.arch.method().filter(|_| matches!(step.layer, Layer::Fuse(_)));
             for (spec, number) in step.layer.tensors().into_iter().zip(number.by_ref()) {
                 let mut draws = Stream::new(seed, "weights", number);
-                values.push(match method {
-                    Some(method) => method.initial(&spec, &mut || draws.normal()),
-                    None => initial(&mut draws, &spec, of_heads),
+                values.push(match (given(&spec), method) {
+                    (Some(given), _) => given.to_vec(),
+                    (None, Some(method)) => method.initial(&spec, &mut || draws.normal()),
+                    (None, None) => initial(&mut draws, &spec, of_heads),
                 });
             }
         }
@@ -104,13 +118,12 @@ impl Network {
     /// A network of given numbers for each tensor, asked for in the order of the weights.
     pub(crate) fn with(model: &Model, mut values: impl FnMut(&TensorSpec) -> Vec<f32>) -> candle_core::Result<Self> {
         let layers = Layers::of(model);
-        let frozen = frozen(model, &layers);
         let (mut parameters, mut places) = (Vec::new(), HashMap::new());
         for spec in layers.tensors() {
             places.insert(spec.key.clone(), parameters.len());
             parameters.push(Parameter {
                 value: tensor(values(&spec), spec.shape)?,
-                trained: spec.role.is_trained() && !frozen.contains(&spec.key),
+                trained: spec.role.is_trained(),
                 decayed: matches!(spec.role, Role::Weight { .. }),
                 name: spec.key,
             });
@@ -145,27 +158,55 @@ impl Network {
         &self.parameters
     }
 
+    /// Leaves parts as they are, with the running statistics of their norms.
+    pub(crate) fn freeze(&mut self, parts: &Frozen) {
+        let keys = parts.keys(&self.layers);
+        for parameter in self
+            .parameters
+            .iter_mut()
+            .filter(|parameter| keys.contains(&parameter.name))
+        {
+            parameter.trained = false;
+        }
+    }
+
     pub(crate) fn set(&mut self, index: usize, values: Vec<f32>) -> candle_core::Result<()> {
         let parameter = &mut self.parameters[index];
         parameter.value = tensor(values, parameter.value.shape().clone())?;
         Ok(())
     }
 
-    /// The forward pass. In training, batch norms use the batch's statistics, unless they are frozen.
+    /// The forward pass; `parties`: the agents of each sample, whose points follow each other in the batch. In training, batch
+    /// norms use the batch's statistics, unless they are frozen.
     ///
     /// # Errors
     /// Those of the layers.
-    pub fn forward(&self, tape: &mut Tape, batch: &Arc<PillarBatch>, training: bool) -> candle_core::Result<Heads> {
+    pub fn forward(
+        &self,
+        tape: &mut Tape,
+        batch: &Arc<PillarBatch>,
+        parties: &[Vec<Member>],
+        training: bool,
+    ) -> candle_core::Result<Heads> {
         let mut run = Run {
             network: self,
             tape,
-            by_batch: training && !self.frozen_norms,
+            by_batch: false,
             statistics: Vec::new(),
         };
         let layers = &self.layers;
         let order = layers.between(&[], &[layers.scores, layers.deltas]);
         let mut maps = Maps::of(&order);
+        let mut learning = HashSet::new();
         for step in order {
+            let learns = self.learns(&step.layer);
+            run.by_batch = training && learns && !self.frozen_norms;
+            // What leads to nothing that learns needs no gradients.
+            let needs_gradients = learns || step.from.iter().any(|map| learning.contains(map));
+            run.tape.pause(!needs_gradients);
+            if needs_gradients {
+                learning.insert(step.to);
+            }
             let made = match &step.layer {
                 Layer::Points(layer) => run.points(layer, batch)?,
                 Layer::Convolution(layer) => run.convolution(layer, &maps.read(step.from[0]))?,
@@ -173,9 +214,7 @@ impl Network {
                     let parts: Vec<Tensor> = step.from.iter().map(|map| maps.read(*map)).collect();
                     run.tape.join(&parts)?
                 }
-                // Samples are of one agent each, and the fusion of one is what it sees.
-                Layer::Fuse(_) if learning(&self.model) == Learning::Nothing => maps.read(step.from[0]),
-                Layer::Fuse(_) => candle_core::bail!("the fusion of {} looks at maps, not at points", self.model.arch),
+                Layer::Fuse(layer) => fuse(self, run.tape, layer, &maps.read(step.from[0]), parties)?,
             };
             maps.made.insert(step.to, made);
         }
@@ -186,19 +225,19 @@ impl Network {
         })
     }
 
-    /// Forward and backward pass of one batch with the targets of its samples; the running statistics move on.
+    fn learns(&self, layer: &Layer) -> bool {
+        let mut tensors = layer.tensors().into_iter();
+        tensors.any(|spec| self.parameters[self.places[&spec.key]].trained)
+    }
+
+    /// Forward and backward pass of one batch; the running statistics move on.
     ///
     /// # Errors
     /// Those of the layers.
-    pub fn pass(
-        &mut self,
-        batch: &Arc<PillarBatch>,
-        targets: &[Targets],
-        settings: &LossWeights,
-    ) -> candle_core::Result<Pass> {
+    pub fn pass(&mut self, batch: &Batch, settings: &LossWeights) -> candle_core::Result<Pass> {
         let mut tape = Tape::new();
-        let heads = self.forward(&mut tape, batch, true)?;
-        let (losses, of_scores, of_deltas) = losses(&heads, targets, settings)?;
+        let heads = self.forward(&mut tape, &batch.pillars, &batch.parties, true)?;
+        let (losses, of_scores, of_deltas) = losses(&heads, &batch.targets, settings)?;
         let results = vec![(heads.scores.id(), of_scores), (heads.deltas.id(), of_deltas)];
         if !self.frozen_norms {
             self.follow(&heads.statistics)?;
@@ -248,7 +287,11 @@ impl Network {
         Ok(())
     }
 
-    fn value(&self, key: &str) -> &Tensor {
+    /// A tensor by its key.
+    ///
+    /// # Panics
+    /// If the network has none of this key.
+    pub(crate) fn value(&self, key: &str) -> &Tensor {
         &self.parameters[self.places[key]].value
     }
 }
@@ -445,7 +488,7 @@ pub(crate) fn inner(map: &MapShape, data: &[f32], image: usize) -> Vec<f32> {
 }
 
 /// Writes cells into one image inside its border, which is already 0.
-fn outer(map: &MapShape, image: &mut [f32], cells: &[f32]) {
+pub(crate) fn outer(map: &MapShape, image: &mut [f32], cells: &[f32]) {
     for (row, cells) in cells.chunks_exact(map.columns * map.channels).enumerate() {
         let at = map.at(0, row as isize, 0);
         image[at..at + cells.len()].copy_from_slice(cells);

@@ -10,7 +10,8 @@ use candle_core::{CustomOp2, CustomOp3, Result, Tensor, TensorId};
 
 use crate::layers::{join, split};
 
-type Gradients = Vec<(TensorId, Tensor)>;
+/// Gradients by what they are of.
+pub(crate) type Gradients = Vec<(TensorId, Tensor)>;
 type Backward = Box<dyn FnOnce(&Tensor) -> Result<Gradients>>;
 
 /// The operations of a forward pass, in order.
@@ -19,6 +20,8 @@ pub struct Tape {
     steps: Vec<(TensorId, Backward)>,
     /// Whether the operations are only applied.
     forward_only: bool,
+    /// Whether the next ones are, since nothing learns from their gradients.
+    paused: bool,
 }
 
 impl Tape {
@@ -35,8 +38,19 @@ impl Tape {
         }
     }
 
-    fn record(&mut self, out: &Tensor, backward: impl FnOnce(&Tensor) -> Result<Gradients> + 'static) {
-        if !self.forward_only {
+    /// Whether the next operations are only applied.
+    pub(crate) fn pause(&mut self, paused: bool) {
+        self.paused = paused;
+    }
+
+    /// Whether gradients are led back through the next operation.
+    pub(crate) fn records(&self) -> bool {
+        !(self.forward_only || self.paused)
+    }
+
+    /// Takes note of how an operation's gradients follow from that of what it made.
+    pub(crate) fn record(&mut self, out: &Tensor, backward: impl FnOnce(&Tensor) -> Result<Gradients> + 'static) {
+        if self.records() {
             self.steps.push((out.id(), Box::new(backward)));
         }
     }

@@ -17,6 +17,7 @@ use crate::TrainError;
 use crate::checkpoint::Checkpoint;
 use crate::curve::Point;
 use crate::data::{Augmentation, LeftOut, LoggedData};
+use crate::freeze::Part;
 use crate::layers::Arithmetic;
 use crate::memory::keep_freed_pages;
 use crate::optimizer::OptimizerSettings;
@@ -31,8 +32,7 @@ const TRAINING_SEEDS: u64 = 800;
 pub struct TrainOptions {
     /// The model file.
     pub model: PathBuf,
-    /// The model file with weights to begin with; of a model that learns to fuse, those of the encoder, which stay, and of
-    /// the heads.
+    /// The model file with weights to begin with; what they lack, as a fusion or a compressor, begins at random.
     pub from: Option<PathBuf>,
     /// Folder of the results: `checkpoint.safetensors`, the model's files of weights, `curve.csv`, `curve.svg`.
     pub output: PathBuf,
@@ -51,10 +51,12 @@ pub struct TrainOptions {
     pub seed: u64,
     /// Samples of a step.
     pub batch: usize,
+    /// Parts of the network that stay as they are; an encoder that is another file's does in any case.
+    pub freeze: Vec<Part>,
     /// Whether batch norms take the statistics of the weights that are begun with, and leave them, in place of each batch's.
     pub frozen_norms: bool,
-    /// Probability that a step sees parts of the range, before the last third of the steps: squares, turned by any angle; of a model that learns to fuse half of
-    /// the range along x.
+    /// Probability that a step sees parts of the range, before the last third of the steps: squares, turned by any angle; of a model that fuses half of the
+    /// range along x.
     pub parts: f64,
     /// Minutes from one checkpoint to the next.
     pub checkpoint_minutes: f64,

@@ -10,7 +10,7 @@ use realo_schemas::geometry::{Footprint, iou, iou_exceeds};
 
 use crate::TrainError;
 use crate::data::{
-    AgentSweep, Augmentation, Cast, Decoys, Frame, Frames, MapEncoder, Party, Project, Scene, gather, near,
+    AgentSweep, Augmentation, Cast, Decoys, Frame, Frames, MapEncoder, Member, Party, Project, Scene, gather, near,
 };
 use crate::layers::{MapShape, with_numbers};
 use crate::network::{Network, inner};
@@ -92,7 +92,8 @@ pub(crate) fn decoys(network: &Network, frames: &Arc<dyn Frames>, draws: &mut St
     for _ in 0..SEARCHED {
         let frame = frames.load(draws.below(frames.len()))?;
         let cast = Cast::draw(&frame, &how, draws);
-        let scene = Scene::new(&frame, &cast, model, &how, draws);
+        let parts = cast.parts(&frame, &how, draws);
+        let scene = Scene::new(&frame, &parts, model, &how, draws);
         let (pillars, _) = gather(model, vec![scene.clone().sample(model)]);
         decoys.add(&scene, &detect(network, &pillars)?);
     }
@@ -141,10 +142,11 @@ pub(crate) fn validate_fusion(network: &Network, frames: &Arc<dyn Frames>) -> Re
             ];
             for (way, (others, project)) in parties.into_iter().enumerate() {
                 let party = Party { ego, others, project };
-                let maps = encoder.run(&frame, &party, &how, &mut draws)?;
+                let view = party.view(&frame, model, &how, &mut draws);
+                let maps = encoder.run(&view)?;
                 let heads = encoder.detect(&maps)?;
                 let found = boxes(&anchors, &heads.scores, &heads.deltas);
-                books.add(way, &found, &party.objects(&frame, model).objects_within(&model.grid).0);
+                books.add(way, &found, &view.scene.objects_within(&model.grid).0);
             }
         }
     }
@@ -209,7 +211,8 @@ pub(crate) fn each_scene(
             for (merged, others) in [(false, Vec::new()), (true, near(&frame, ego))] {
                 let (cast, how) = (Cast { ego, others }, Augmentation::none());
                 let mut draws = Stream::new(0, "validation", 0);
-                look(merged, Scene::new(&frame, &cast, model, &how, &mut draws))?;
+                let parts = cast.parts(&frame, &how, &mut draws);
+                look(merged, Scene::new(&frame, &parts, model, &how, &mut draws))?;
             }
         }
     }
@@ -223,7 +226,7 @@ fn min_iou(class: &str) -> f64 {
 
 /// Boxes of a batch of one, best first.
 fn detect(network: &Network, pillars: &Arc<crate::layers::PillarBatch>) -> Result<Vec<Detection>, TrainError> {
-    let heads = network.forward(&mut Tape::forward_only(), pillars, false)?;
+    let heads = network.forward(&mut Tape::forward_only(), pillars, &[vec![Member::EGO]], false)?;
     let cells = |map: &candle_core::Tensor| {
         let shape = MapShape::of(map.shape())?;
         with_numbers(map, |values| Ok(inner(&shape, values, 0)))

@@ -114,6 +114,7 @@ mod tests {
     use std::path::Path;
 
     use super::*;
+    use crate::data::Member;
     use crate::data::{Scene, gather};
     use crate::layers::with_numbers;
     use crate::network::Network;
@@ -154,9 +155,11 @@ mod tests {
     fn heads(network: &Network) -> [Vec<f32>; 2] {
         let mut draws = Stream::new(4, "points", 0);
         let mut scene = Scene::default();
-        (0..600).for_each(|_| scene.push([6.0, 6.0, 2.0].map(|far| draws.between(-far, far) as f32)));
+        (0..600).for_each(|_| scene.push([6.0, 6.0, 2.0].map(|far| draws.between(-far, far) as f32), 0));
         let (batch, _) = gather(network.model(), vec![scene.sample(network.model())]);
-        let heads = network.forward(&mut Tape::forward_only(), &batch, false).unwrap();
+        let heads = network
+            .forward(&mut Tape::forward_only(), &batch, &[vec![Member::EGO]], false)
+            .unwrap();
         [heads.scores, heads.deltas].map(|map| with_numbers(&map, |values| Ok(values.to_vec())).unwrap())
     }
 

@@ -12,7 +12,7 @@ use realo_methods::Model;
 use realo_nn::weights::Weights;
 use realo_training::data::Augmentation;
 use realo_training::optimizer::OptimizerSettings;
-use realo_training::{Data, News, TrainError, TrainOptions, Validation, train, train_with};
+use realo_training::{Data, News, Part, TrainError, TrainOptions, Validation, train, train_with};
 use safetensors::SafeTensors;
 
 /// A small detector.
@@ -69,6 +69,7 @@ impl Folder {
             fit_steps: false,
             seed: 3,
             batch: 2,
+            freeze: Vec::new(),
             frozen_norms: false,
             parts: 0.5,
             checkpoint_minutes: 0.0,
@@ -503,10 +504,11 @@ fn fusing(folder: &Folder) -> TrainOptions {
 }
 
 #[test]
-fn a_fusion_learns_and_its_encoder_stays() {
+fn a_fusion_learns_and_its_encoder_stays_if_it_is_frozen() {
     let folder = Folder::new();
     let mut options = fusing(&folder);
     (options.steps, options.checkpoint_minutes) = (60, 1.0);
+    options.freeze = vec![Part::Encoder];
     let mut losses = Vec::new();
     assert!(
         train(&options, |progress| losses.push(progress.point.loss()))
@@ -530,7 +532,8 @@ fn a_fusion_learns_and_its_encoder_stays() {
 #[test]
 fn an_encoder_of_another_file_is_not_written_twice() {
     let folder = Folder::new();
-    let whole = fusing(&folder);
+    let mut whole = fusing(&folder);
+    whole.freeze = vec![Part::Encoder];
     train(&whole, |_| ()).unwrap();
     let apart = TrainOptions {
         output: folder.path("apart"),
@@ -594,6 +597,7 @@ fn a_fusion_without_an_encoder_that_fits_is_refused() {
         from: None,
         ..options.clone()
     };
+    fs::write(&options.model, FUSING.replace("[arch]", "encoder = \"small\"\n[arch]")).unwrap();
     let said = refused(&none);
     assert!(
         said.contains("`from`") && said.contains("--from models/lite.toml"),
@@ -610,8 +614,23 @@ fn a_fusion_without_an_encoder_that_fits_is_refused() {
     ] {
         assert!(said.contains(part), "{part}: {said}");
     }
+}
+
+#[test]
+fn encoder_compressor_fusion_and_heads_learn_together() {
+    let folder = Folder::new();
+    let mut options = fusing(&folder);
     let compressing = FUSING.replace("heads = 2\n", "heads = 2\ncompression = 2\n");
     fs::write(&options.model, compressing).unwrap();
-    let said = refused(&options);
-    assert!(said.contains("arch.compression"), "{said}");
+    (options.steps, options.batch) = (3, 1);
+    train(&options, |_| ()).unwrap();
+    let first = bits(&options.output.join("fusing.safetensors"));
+    let model = Model::read(&options.output.join("fusing.toml")).unwrap();
+    Weights::read(&[options.output.join("fusing.safetensors")], &model).unwrap();
+    let encoder = bits(&folder.path("detector/small.safetensors"));
+    assert!(
+        encoder.iter().all(|(name, numbers)| first[name] != *numbers),
+        "all of the detector moved"
+    );
+    assert!(first.keys().any(|name| name.contains("compress")), "{:?}", first.keys());
 }

@@ -10,7 +10,7 @@ use realo_nn::tensors::TensorSpec;
 use realo_nn::weights::Weights;
 use serde_json::{Map, Value};
 
-use crate::method::{Arithmetic, Fuse, Learning, Method};
+use crate::method::{Arithmetic, Descent, Fuse, Method};
 #[cfg(feature = "candle")]
 use crate::tensors::{self, Tensors};
 
@@ -31,7 +31,7 @@ pub trait AnyMethod: fmt::Debug + Send + Sync {
         tensors: &Tensors,
         agents: &[tensors::Agent],
     ) -> candle_core::Result<candle_core::Tensor>;
-    fn learning(&self) -> Learning;
+    fn descent(&self, layer: &FuseLayer) -> Option<Box<dyn Descent>>;
     fn initial(&self, spec: &TensorSpec, normal: &mut dyn FnMut() -> f64) -> Vec<f32>;
     fn sides(&self) -> Vec<usize>;
 
@@ -84,8 +84,8 @@ impl<M: Method> AnyMethod for M {
         Method::operation(self, layer, tensors, agents)
     }
 
-    fn learning(&self) -> Learning {
-        Method::learning(self)
+    fn descent(&self, layer: &FuseLayer) -> Option<Box<dyn Descent>> {
+        Method::descent(self, layer)
     }
 
     fn initial(&self, spec: &TensorSpec, normal: &mut dyn FnMut() -> f64) -> Vec<f32> {

@@ -12,7 +12,7 @@ use serde_json::Value;
 
 pub use kernel::Attention;
 
-use crate::method::{Arithmetic, ByCell, Fuse, Method};
+use crate::method::{Arithmetic, ByCell, Descent, Fuse, Method};
 #[cfg(feature = "candle")]
 use crate::tensors::{self, Tensors};
 
@@ -36,6 +36,10 @@ impl Method for Settings {
 
     fn kernel(&self, layer: &FuseLayer, _: &Weights, _: Arithmetic) -> Box<dyn Fuse> {
         Box::new(ByCell(Attention { width: layer.width }))
+    }
+
+    fn descent(&self, layer: &FuseLayer) -> Option<Box<dyn Descent>> {
+        Some(Box::new(ByCell(Attention { width: layer.width })))
     }
 
     #[cfg(feature = "candle")]

@@ -12,7 +12,7 @@ use serde_json::Value;
 
 pub use kernel::Max;
 
-use crate::method::{Arithmetic, ByCell, Fuse, Method};
+use crate::method::{Arithmetic, ByCell, Descent, Fuse, Method};
 #[cfg(feature = "candle")]
 use crate::tensors::{self, Tensors};
 
@@ -36,6 +36,10 @@ impl Method for Settings {
 
     fn kernel(&self, _: &FuseLayer, _: &Weights, _: Arithmetic) -> Box<dyn Fuse> {
         Box::new(ByCell(Max))
+    }
+
+    fn descent(&self, _: &FuseLayer) -> Option<Box<dyn Descent>> {
+        Some(Box::new(ByCell(Max)))
     }
 
     #[cfg(feature = "candle")]

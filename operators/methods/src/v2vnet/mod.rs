@@ -15,7 +15,7 @@ use serde_json::Value;
 
 pub use unit::{GatedUnit, GatedUnitTensors};
 
-use crate::method::{Arithmetic, Fuse, Learning, Method};
+use crate::method::{Arithmetic, Fuse, Method};
 #[cfg(feature = "candle")]
 use crate::tensors::{self, Tensors};
 use kernel::Messages;
@@ -84,11 +84,6 @@ impl Method for Settings {
         agents: &[tensors::Agent],
     ) -> candle_core::Result<candle_core::Tensor> {
         tensor::fuse(self.rounds, tensors, agents)
-    }
-
-    fn learning(&self) -> Learning {
-        // Training knows maps in the ego's cells only.
-        Learning::Never
     }
 
     fn of_reference(config: &Value, sharing: Sharing) -> Option<Result<Self, String>> {

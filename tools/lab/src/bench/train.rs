@@ -108,6 +108,7 @@ fn options(cache: &Path, output: PathBuf) -> TrainOptions {
         fit_steps: false,
         seed: 0,
         batch: BATCH,
+        freeze: Vec::new(),
         frozen_norms: false,
         parts: 0.0,
         checkpoint_minutes: 60.0,

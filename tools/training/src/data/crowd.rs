@@ -58,10 +58,10 @@ pub(crate) fn crowd(scene: &mut Scene, probability: f64, draws: &mut Stream) {
             let beside = [x + dx, y + dy];
             let elsewhere = anywhere(f64::from(beside[0].hypot(beside[1])), draws);
             for place in [beside, elsewhere] {
-                for [x, y, up] in background.piece(place, draws) {
+                for ([x, y, up], source) in background.piece(place, draws) {
                     let point = [x, y, ground + up];
                     if outlines.at(point).is_none() {
-                        scene.push(point);
+                        scene.push(point, source);
                     }
                 }
             }
@@ -138,8 +138,8 @@ fn outlines(objects: &[Object]) -> Outlines {
 
 /// What stands beside objects, by how far it is.
 struct Background {
-    /// x, y, height above the ground below.
-    points: Vec<[f32; 3]>,
+    /// x, y, height above the ground below, and the number of the sweep.
+    points: Vec<([f32; 3], u8)>,
     /// Numbers of the points, by their distance.
     by_distance: Vec<(f32, u32)>,
     cells: Cells,
@@ -150,7 +150,7 @@ impl Background {
         let mut cells = Cells::new(CELL);
         let lowest = Lowest::of(scene);
         let (mut points, mut by_distance) = (Vec::new(), Vec::new());
-        for [x, y, z] in scene.iter() {
+        for ([x, y, z], source) in scene.iter().zip(&scene.sources) {
             let distance = x.hypot(y);
             if distance < FAR - ALIKE {
                 continue;
@@ -162,7 +162,7 @@ impl Background {
             let number = points.len() as u32;
             cells.add(number, [x, y], 0.0);
             by_distance.push((distance, number));
-            points.push([x, y, up]);
+            points.push(([x, y, up], *source));
         }
         by_distance.sort_by(|a, b| a.0.total_cmp(&b.0));
         Background {
@@ -173,7 +173,7 @@ impl Background {
     }
 
     /// A piece that is as far from the ego as a place, turned about the ego and moved along the ray to this place.
-    fn piece(&self, [x, y]: [f32; 2], draws: &mut Stream) -> Vec<[f32; 3]> {
+    fn piece(&self, [x, y]: [f32; 2], draws: &mut Stream) -> Vec<([f32; 3], u8)> {
         let distance = x.hypot(y);
         let from = self.by_distance.partition_point(|(at, _)| *at < distance - ALIKE);
         let until = self.by_distance.partition_point(|(at, _)| *at <= distance + ALIKE);
@@ -181,13 +181,16 @@ impl Background {
             return Vec::new();
         }
         let (source, number) = self.by_distance[from + draws.below(until - from)];
-        let [from_x, from_y, _] = self.points[number as usize];
+        let ([from_x, from_y, _], _) = self.points[number as usize];
         let (sin, cos) = (y.atan2(x) - from_y.atan2(from_x)).sin_cos();
         let along = (distance - source) / distance;
         let near = self.cells.near([from_x, from_y], REACH);
         near.map(|number| self.points[number as usize])
-            .filter(|[px, py, _]| (px - from_x).hypot(py - from_y) < REACH)
-            .map(|[px, py, up]| [cos * px - sin * py + along * x, sin * px + cos * py + along * y, up])
+            .filter(|([px, py, _], _)| (px - from_x).hypot(py - from_y) < REACH)
+            .map(|([px, py, up], source)| {
+                let turned = [cos * px - sin * py + along * x, sin * px + cos * py + along * y, up];
+                (turned, source)
+            })
             .collect()
     }
 }
@@ -209,10 +212,10 @@ mod tests {
             let along = step as f32 - 80.0;
             [-62.0, 0.0, 8.0, 62.0]
                 .iter()
-                .for_each(|y| scene.push([along, *y, 0.1]));
+                .for_each(|y| scene.push([along, *y, 0.1], 0));
         }
         for step in 0..60 {
-            scene.push([0.1 * step as f32 - 3.0, 61.0, 0.4 + 0.02 * step as f32]);
+            scene.push([0.1 * step as f32 - 3.0, 61.0, 0.4 + 0.02 * step as f32], 0);
         }
         scene
     }
@@ -258,9 +261,9 @@ mod tests {
         let mut before = scene();
         // On the far car, beside it below 0.3 m, well above it, and beside the near one.
         for point in [[58.0, 8.0, 1.0], [58.0, 12.0, 0.2], [58.0, 12.0, 4.5], [12.0, 6.0, 1.0]] {
-            before.push(point);
+            before.push(point, 0);
         }
-        (0..50).for_each(|step| before.push([56.0 + 0.07 * step as f32, 12.0, 1.0]));
+        (0..50).for_each(|step| before.push([56.0 + 0.07 * step as f32, 12.0, 1.0], 0));
         let points: Vec<[f32; 3]> = before.iter().collect();
         let hedge = |point: &[f32; 3]| point[1] == 61.0;
         let mut thinner = 0;
@@ -292,7 +295,7 @@ mod tests {
             objects: std::mem::take(&mut empty.objects),
             ..Scene::default()
         };
-        ground.iter().for_each(|point| without.push(*point));
+        ground.iter().for_each(|point| without.push(*point, 0));
         crowd(&mut without, 1.0, &mut Stream::new(1, "crowd", 0));
         assert_eq!(without.iter().count(), ground.len());
     }

@@ -115,7 +115,7 @@ impl Decoys {
             }
             for [x, y, z] in &decoy.points {
                 let [x, y] = turned([*x, *y]);
-                scene.push([x, y, z + ground]);
+                scene.push([x, y, z + ground], 0);
             }
         }
     }
@@ -193,13 +193,13 @@ mod tests {
         let mut scene = Scene::default();
         for x in -40..40 {
             for y in -40..40 {
-                scene.push([x as f32, y as f32, height]);
+                scene.push([x as f32, y as f32, height], 0);
             }
         }
         for i in 0..40 {
             let i = i as f32;
-            scene.push([19.0 + 0.05 * i, 5.0, height + 0.02 + 0.03 * i]);
-            scene.push([-20.0 + 0.05 * i, 0.0, height + 0.02 + 0.03 * i]);
+            scene.push([19.0 + 0.05 * i, 5.0, height + 0.02 + 0.03 * i], 0);
+            scene.push([-20.0 + 0.05 * i, 0.0, height + 0.02 + 0.03 * i], 0);
         }
         scene.objects.push(Object {
             class: 0,

@@ -6,15 +6,15 @@ use std::thread::JoinHandle;
 
 use crate::targets::Targets;
 use realo_methods::Model;
-use realo_methods::tensors::Agent;
 use realo_nn::model::Grid;
 
 use super::decoys::Supply;
 use super::frame::Frame;
 use super::frames::Frames;
-use super::maps::{MapEncoder, Party};
+use super::maps::{Member, Party, Project};
 use super::sample::{Augmentation, Cast, Change, Sample, Scene};
 use crate::TrainError;
+use crate::fusing::fuses;
 use crate::layers::PillarBatch;
 use crate::random::Stream;
 
@@ -24,23 +24,21 @@ const AHEAD: usize = 3;
 /// What is found after a step changes the batches from so many steps later on: those before may have been made.
 pub(crate) const LATER: u64 = 2 * AHEAD as u64;
 
+/// Probability that the others of a step on the whole range bring their points to the ego's frame before they encode them; on parts they
+/// always do, so that the other half of the steps is mostly the fusion's.
+const BY_SENDER: f64 = 0.25;
+
 /// Samples are drawn from so many frames, those that joined last.
 const POOL: u64 = 400;
 
 /// The samples of a step.
 pub struct Batch {
-    /// What the network sees.
-    pub input: Input,
+    /// What the network sees: of each sample the points of its agents, in the order of the parties.
+    pub pillars: Arc<PillarBatch>,
+    /// The agents of each sample, the ego first; one where several agents' points are merged in one cloud.
+    pub parties: Vec<Vec<Member>>,
     /// What the heads should answer.
     pub targets: Vec<Targets>,
-}
-
-/// What a network sees in training.
-pub enum Input {
-    /// The points of an agent, or of several in one cloud, for a network as a whole.
-    Points(Arc<PillarBatch>),
-    /// For each sample the maps of agents, the ego's first, for a fusion and the heads behind it.
-    Maps(Vec<Vec<Agent>>),
 }
 
 /// What batches are made of; a step's batch depends on nothing else.
@@ -64,8 +62,6 @@ pub struct Recipe {
     pub whole_from: u64,
     /// What is pasted into samples.
     pub supply: Arc<Mutex<Supply>>,
-    /// What makes maps of points, for a network that learns to fuse them.
-    pub(crate) encoder: Option<Arc<Mutex<MapEncoder>>>,
 }
 
 impl Recipe {
@@ -90,25 +86,26 @@ impl Recipe {
             let frame = self.frames.load(self.frame(number))?;
             frames.push((frame, Stream::new(self.seed, "sample", number)));
         }
-        match &self.encoder {
-            None => Ok(self.of_points(step, frames, parts)),
-            Some(encoder) => self.of_maps(frames, parts, encoder),
-        }
+        Ok(match fuses(&self.model) {
+            true => self.of_parties(frames, parts, &mut draws),
+            false => self.of_merged(step, frames, parts),
+        })
     }
 
-    fn of_points(&self, step: u64, frames: Vec<(Frame, Stream)>, parts: bool) -> Batch {
+    /// Samples of one cloud each.
+    fn of_merged(&self, step: u64, frames: Vec<(Frame, Stream)>, parts: bool) -> Batch {
         let how = &self.augmentation;
         let decoys = self.supply.lock().unwrap_or_else(PoisonError::into_inner).at(step);
         let mut samples = Vec::with_capacity(frames.len());
         let mut model = self.model.clone();
         for (frame, mut draws) in frames {
             let cast = Cast::draw(&frame, how, &mut draws);
-            let mut scene = Scene::new(&frame, &cast, &self.model, how, &mut draws);
+            let parts_of = cast.parts(&frame, how, &mut draws);
+            let mut scene = Scene::new(&frame, &parts_of, &self.model, how, &mut draws);
             if let Some(decoys) = &decoys {
                 decoys.paste(&mut scene, how.decoys, &mut draws);
             }
-            let rotation = if parts { std::f64::consts::PI } else { how.rotation };
-            let change = Change::draw(how, rotation, &mut draws);
+            let change = self.change(parts, &mut draws);
             scene.change(&change);
             if parts {
                 model = square(&self.model, &change, &mut draws);
@@ -118,34 +115,48 @@ impl Recipe {
         // All squares have one size, and no more than that is asked of the last one here.
         let (pillars, targets) = gather(&model, samples);
         Batch {
-            input: Input::Points(pillars),
+            pillars,
+            parties: vec![vec![Member::EGO]; targets.len()],
             targets,
         }
     }
 
-    fn of_maps(
-        &self,
-        frames: Vec<(Frame, Stream)>,
-        parts: bool,
-        encoder: &Mutex<MapEncoder>,
-    ) -> Result<Batch, TrainError> {
-        let mut encoder = encoder.lock().unwrap_or_else(PoisonError::into_inner);
-        let (mut samples, mut targets) = (Vec::new(), Vec::new());
+    /// How a sample is changed: what is seen on squares is turned by any angle.
+    fn change(&self, parts: bool, draws: &mut Stream) -> Change {
+        let how = &self.augmentation;
+        let rotation = if parts { std::f64::consts::PI } else { how.rotation };
+        Change::draw(how, rotation, draws)
+    }
+
+    /// Samples of several agents, whose maps are fused. On parts of the range all maps are of the ego's part, which only senders can
+    /// bring their points to.
+    fn of_parties(&self, frames: Vec<(Frame, Stream)>, parts: bool, of_step: &mut Stream) -> Batch {
+        let how = &self.augmentation;
+        let project = match parts || of_step.chance(BY_SENDER) {
+            true => Project::Sender,
+            false => Project::Receiver,
+        };
+        let (mut pillars, mut parties, mut targets) = (Vec::new(), Vec::new(), Vec::new());
+        let mut model = self.model.clone();
         for (frame, mut draws) in frames {
-            let party = Party::draw(&frame, &self.model, &self.augmentation, &mut draws);
-            let maps = encoder.run(&frame, &party, &self.augmentation, &mut draws)?;
-            let model = match parts {
-                true => window(&self.model, &mut draws),
-                false => self.model.clone(),
-            };
-            let placed = maps.iter().map(|map| map.on(&self.model, &model.grid));
-            samples.push(placed.collect::<candle_core::Result<_>>()?);
-            targets.push(party.objects(&frame, &model).targets(&model));
+            let party = Party::draw(&frame, &self.model, project, how, &mut draws);
+            let mut view = party.view(&frame, &self.model, how, &mut draws);
+            let change = self.change(parts, &mut draws);
+            view.change(&change);
+            if parts {
+                model = square(&self.model, &change, &mut draws);
+            }
+            let looks = view.looks(&model);
+            pillars.extend(looks.iter().map(|look| look.scene.pillars(&model)));
+            parties.push(looks.iter().map(|look| look.member).collect());
+            targets.push(view.scene.targets(&model));
         }
-        Ok(Batch {
-            input: Input::Maps(samples),
+        // All squares have one size, and no more than that is asked of the last one here.
+        Batch {
+            pillars: Arc::new(PillarBatch::new(&model.grid, &model.pillars, pillars)),
+            parties,
             targets,
-        })
+        }
     }
 
     /// Batches from a step on, made by one thread; it ends with the receiver.
@@ -182,9 +193,13 @@ fn least_common_multiple(a: usize, b: usize) -> usize {
 /// grid, or, as often, that of another square on it, so that the turn of a long grid takes no part of it away.
 fn square(model: &Model, change: &Change, draws: &mut Stream) -> Model {
     let mut model = model.clone();
+    // Maps of all blocks keep whole cells, a fusion whole windows.
     let strides = model.backbone.strides.iter().product::<usize>().max(1);
+    let sides = model.arch.method().map(|method| method.sides()).unwrap_or_default();
+    let sides = sides.into_iter().map(|side| side * model.stride());
+    let step = sides.fold(strides, least_common_multiple);
     let Grid { x, y, cell, .. } = model.grid;
-    let cells = model.grid.rows().min(model.grid.columns()) / strides * strides;
+    let cells = model.grid.rows().min(model.grid.columns()) / step * step;
     let side = cells as f64 * cell;
     let in_the_middle = draws.chance(0.5);
     let [along, across] = [x, y].map(|[from, to]| {
@@ -197,27 +212,6 @@ fn square(model: &Model, change: &Change, draws: &mut Stream) -> Model {
         [start, start + side]
     };
     (model.grid.x, model.grid.y) = (part(center[0], x), part(center[1], y));
-    model
-}
-
-/// The model on half of its range along x: the middle, or any other part. Cells keep their places in the world.
-fn window(model: &Model, draws: &mut Stream) -> Model {
-    let mut model = model.clone();
-    let [from, to] = model.grid.x;
-    // Maps of all blocks keep whole cells, a fusion whole windows.
-    let strides = model.backbone.strides.iter().product::<usize>().max(1);
-    let sides = model.arch.method().map(|method| method.sides()).unwrap_or_default();
-    let sides = sides.into_iter().map(|side| side * model.stride());
-    let step = sides.fold(strides, least_common_multiple);
-    let half = model.grid.columns() / 2 / step * step;
-    let free = (model.grid.columns() - half) / step;
-    let place = if draws.chance(0.5) {
-        free / 2
-    } else {
-        draws.below(free + 1)
-    };
-    let start = from + (place * step) as f64 * model.grid.cell;
-    model.grid.x = [start, (start + half as f64 * model.grid.cell).min(to)];
     model
 }
 
@@ -271,7 +265,6 @@ mod tests {
             parts: 0.5,
             whole_from: u64::MAX,
             supply: Arc::default(),
-            encoder: None,
         }
     }
 
@@ -306,10 +299,7 @@ mod tests {
 
     #[test]
     fn samples_hold_decoys_from_the_step_on_that_has_them() {
-        let count = |recipe: &Recipe, step| match recipe.batch(step).unwrap().input {
-            Input::Points(pillars) => pillars.count(),
-            Input::Maps(_) => unreachable!("the model fuses nothing"),
-        };
+        let count = |recipe: &Recipe, step| recipe.batch(step).unwrap().pillars.count();
         let (plain, pasting) = (recipe(8, 1), recipe(8, 1));
         let post: Vec<f32> = (1..40).flat_map(|i| [0.0, 0.9, 15.0, 0.0, 0.04 * i as f32]).collect();
         pasting.supply.lock().unwrap().add(4, Decoys::from_numbers(&post));

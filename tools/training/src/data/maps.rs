@@ -1,24 +1,19 @@
-//! From a frame to what a fusion learns from: the maps of an ego and of others, brought to the ego's cells as graphs do.
+//! From a frame to what a network that fuses sees: the points of an ego and of others, each in the frame of its own map.
 
-use nalgebra::Isometry3;
-use realo_kernels::agents::{Agent, placed};
-use realo_kernels::bev::{BevMap, BevView};
+use nalgebra::Matrix4;
+use realo_kernels::agents::Agent;
+use realo_kernels::bev::BevMap;
 use realo_kernels::warp::Warp;
 use realo_methods::Model;
 use realo_methods::Pillarer;
 use realo_methods::network::{Heads, Network, NetworkError, NetworkOptions};
-use realo_methods::tensors::{self, AgentMap, Placed};
 use realo_nn::model::Grid;
 use realo_nn::weights::Weights;
 
-use super::frame::{AgentSweep, Frame};
-use super::sample::{Augmentation, Cast, Kept, Scene};
+use super::frame::Frame;
+use super::sample::{Augmentation, Cast, Change, Part, Scene};
 use crate::TrainError;
-use crate::layers::tensor;
 use crate::random::Stream;
-
-/// Probability that the others bring their points to the ego's frame before they encode them.
-const BY_SENDER: f64 = 0.5;
 
 /// Probability that another agent's map is one of its earlier sweep.
 const EARLIER: f64 = 0.4;
@@ -43,69 +38,56 @@ pub(crate) struct Party {
     pub project: Project,
 }
 
+/// An agent of a sample, and how its map lies to the ego's.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Member {
+    /// From the ego's cells to the map's.
+    pub warp: Warp,
+    /// Whether it is a roadside unit, not a vehicle.
+    pub roadside: bool,
+    /// How old its map is beside the ego's, in frames of 0.1 s.
+    pub delay: usize,
+}
+
+impl Member {
+    /// An ego, of which nothing else is known.
+    pub const EGO: Member = Member {
+        warp: Warp::IDENTITY,
+        roadside: false,
+        delay: 0,
+    };
+}
+
+/// The points that an agent's map is made of.
+pub(crate) struct Look {
+    /// Points, in the frame of its map.
+    pub scene: Scene,
+    /// How its map lies.
+    pub member: Member,
+}
+
 /// An agent's map and where it lies.
 pub(crate) struct Encoded {
     map: BevMap,
-    warp: Warp,
-    roadside: bool,
-    delay: usize,
+    member: Member,
 }
 
 impl Encoded {
-    pub fn agent(&self) -> Agent<'_> {
+    fn agent(&self) -> Agent<'_> {
+        let Member { warp, roadside, delay } = self.member;
         Agent {
             confidence: None,
             map: (&self.map).into(),
-            warp: self.warp,
-            roadside: self.roadside,
-            delay: self.delay,
+            warp,
+            roadside,
+            delay,
         }
     }
-
-    /// The part of the map that lies on a grid within the ego's, for a fusion on candle's tensors.
-    ///
-    /// # Errors
-    /// Those of candle.
-    pub fn on(&self, model: &Model, grid: &Grid) -> candle_core::Result<tensors::Agent> {
-        let cell = cell(model);
-        let first = [(grid.x[0], model.grid.x[0]), (grid.y[0], model.grid.y[0])];
-        let [column, row] = first.map(|(part, whole)| ((part - whole) / cell).round());
-        let shift = Warp([[1.0, 0.0, column], [0.0, 1.0, row]]);
-        let agent = Agent {
-            warp: self.warp.after(&shift),
-            ..self.agent()
-        };
-        let size = [grid.rows(), grid.columns()].map(|cells| cells / model.stride());
-        let (map, covered) = placed(&agent, size);
-        // What a map of ones would be there.
-        let ones = vec![1.0; agent.map.rows * agent.map.columns];
-        let ones = BevView {
-            channels: 1,
-            data: &ones,
-            ..agent.map
-        };
-        let (reach, _) = placed(&Agent { map: ones, ..agent }, size);
-        let tensor_of = |data: Vec<f32>, channels: usize| tensor(data, (size[0], size[1], channels));
-        let covered = covered.into_iter().map(|covers| f32::from(u8::from(covers)));
-        Ok(tensors::Agent {
-            map: AgentMap::Placed(Placed {
-                map: tensor_of(map.data, map.channels)?,
-                reach: tensor_of(reach.data, 1)?,
-                covered: tensor_of(covered.collect(), 1)?,
-            }),
-            roadside: self.roadside,
-            delay: self.delay,
-        })
-    }
-}
-
-fn cell(model: &Model) -> f64 {
-    model.grid.cell * model.stride() as f64
 }
 
 impl Party {
     /// Draws who takes part: at most as many as the model fuses.
-    pub fn draw(frame: &Frame, model: &Model, how: &Augmentation, draws: &mut Stream) -> Self {
+    pub fn draw(frame: &Frame, model: &Model, project: Project, how: &Augmentation, draws: &mut Stream) -> Self {
         let Cast { ego, mut others } = Cast::draw(frame, how, draws);
         while others.len() >= model.arch.agents() {
             others.remove(draws.below(others.len()));
@@ -114,43 +96,101 @@ impl Party {
         Party {
             ego,
             others: others.collect(),
-            project: match draws.chance(BY_SENDER) {
-                true => Project::Sender,
-                false => Project::Receiver,
-            },
+            project,
         }
     }
 
-    /// What takes part, the ego first.
-    fn parts<'a>(&self, frame: &'a Frame) -> Vec<Part<'a>> {
-        let of = |agent: usize, earlier: bool| {
-            let then = frame.earlier.as_ref().filter(|_| earlier);
-            let (agents, delay) = then.map_or((&frame.agents, 0), |then| (&then.agents, then.delay));
-            Part {
-                sweep: &agents[agent],
-                delay,
-                map_from_ego_then: agents[self.ego].map_from_body,
-            }
+    /// What those who take part see, in the frame of the ego, and how their maps will lie.
+    pub fn view(&self, frame: &Frame, model: &Model, how: &Augmentation, draws: &mut Stream) -> View {
+        let ego = &frame.agents[self.ego];
+        let own = Part {
+            sweep: ego,
+            map_from_sweep: ego.map_from_body,
         };
-        let others = self.others.iter().map(|(agent, earlier)| of(*agent, *earlier));
-        std::iter::once(of(self.ego, false)).chain(others).collect()
-    }
-
-    /// The objects around the ego of which those who take part have enough points.
-    pub fn objects(&self, frame: &Frame, model: &Model) -> Scene {
-        let sweeps: Vec<(&AgentSweep, f64)> = self.parts(frame).iter().map(|part| (part.sweep, 1.0)).collect();
-        let mut scene = Scene::default();
-        scene.add_objects(frame, &sweeps, model);
-        scene
+        let (mut parts, mut places) = (vec![own], vec![Place::default()]);
+        for (agent, earlier) in &self.others {
+            let then = frame.earlier.as_ref().filter(|_| *earlier);
+            let (agents, delay) = then.map_or((&frame.agents, 0), |then| (&then.agents, then.delay));
+            let exact = Part {
+                sweep: &agents[*agent],
+                map_from_sweep: agents[*agent].map_from_body,
+            };
+            let part = exact.astray(how, draws);
+            let map_from_points = match self.project {
+                Project::Sender => agents[self.ego].map_from_body,
+                Project::Receiver => part.map_from_sweep,
+            };
+            parts.push(part);
+            places.push(Place {
+                points_from_ego: (map_from_points.inverse() * ego.map_from_body).to_homogeneous(),
+                roadside: part.sweep.roadside,
+                delay,
+            });
+        }
+        places[0].roadside = ego.roadside;
+        View {
+            scene: Scene::new(frame, &parts, model, how, draws),
+            places,
+        }
     }
 }
 
-/// A sweep that takes part.
-struct Part<'a> {
-    sweep: &'a AgentSweep,
-    /// How old it is beside the ego's, in frames of 0.1 s.
+/// How the points of a map lie to the ego.
+#[derive(Clone, Debug)]
+struct Place {
+    points_from_ego: Matrix4<f64>,
+    roadside: bool,
     delay: usize,
-    map_from_ego_then: Isometry3<f64>,
+}
+
+impl Default for Place {
+    fn default() -> Self {
+        Place {
+            points_from_ego: Matrix4::identity(),
+            roadside: false,
+            delay: 0,
+        }
+    }
+}
+
+/// What the agents of a sample see together.
+#[derive(Clone, Debug)]
+pub(crate) struct View {
+    /// All points and objects, in the frame of the ego.
+    pub scene: Scene,
+    places: Vec<Place>,
+}
+
+impl View {
+    /// Changes all that is seen, for everybody alike.
+    pub fn change(&mut self, change: &Change) {
+        self.scene.change(change);
+        for place in &mut self.places[1..] {
+            place.points_from_ego = change.of_motion(&place.points_from_ego);
+        }
+    }
+
+    /// What each agent's map is made of, the ego's first, on the grid of a model.
+    pub fn looks(&self, model: &Model) -> Vec<Look> {
+        let Grid { x, y, .. } = model.grid;
+        let cell = model.grid.cell * model.stride() as f64;
+        let look = |(number, place): (usize, &Place)| {
+            let motion = &place.points_from_ego;
+            let ground = [0, 1].map(|row| [0, 1, 3].map(|column| motion[(row, column)]));
+            Look {
+                scene: self.scene.part(number as u8, motion),
+                member: Member {
+                    warp: match number {
+                        0 => Warp::IDENTITY,
+                        _ => Warp::of_ground(ground, [x[0], y[0]], cell),
+                    },
+                    roadside: place.roadside,
+                    delay: place.delay,
+                },
+            }
+        };
+        self.places.iter().enumerate().map(look).collect()
+    }
 }
 
 /// From points to maps, by weights that stay as they are.
@@ -178,51 +218,21 @@ impl MapEncoder {
         })
     }
 
-    /// The maps of a party, the ego's first.
+    /// The maps of a sample's agents, the ego's first.
     ///
     /// # Errors
     /// [`TrainError::Network`].
-    pub fn run(
-        &mut self,
-        frame: &Frame,
-        party: &Party,
-        how: &Augmentation,
-        draws: &mut Stream,
-    ) -> Result<Vec<Encoded>, TrainError> {
-        let (grid, cell) = (&self.model.grid, cell(&self.model));
-        let origin = [grid.x[0], grid.y[0]];
-        let mut maps = Vec::new();
-        let map_from_ego = frame.agents[party.ego].map_from_body;
-        for (index, part) in party.parts(frame).into_iter().enumerate() {
-            let is_ego = index == 0;
-            let error = if is_ego {
-                Isometry3::identity()
-            } else {
-                how.pose_error(draws)
-            };
-            let map_from_sweep = part.sweep.map_from_body * error;
-            let map_from_points = match party.project {
-                Project::Sender => part.map_from_ego_then,
-                Project::Receiver => map_from_sweep,
-            };
-            let mut scene = Scene::default();
-            let points_from_sweep = map_from_points.inverse() * map_from_sweep;
-            scene.add_points(part.sweep, &points_from_sweep, &Kept::all(), draws);
-            let (canvas, _) = self.pillarer.run(&scene.points());
-            let map = self.network.encode(canvas)?;
-            let points_from_ego = (map_from_points.inverse() * map_from_ego).to_homogeneous();
-            let ground = [0, 1].map(|row| [0, 1, 3].map(|column| points_from_ego[(row, column)]));
-            maps.push(Encoded {
-                map,
-                warp: match is_ego {
-                    true => Warp::IDENTITY,
-                    false => Warp::of_ground(ground, origin, cell),
-                },
-                roadside: part.sweep.roadside,
-                delay: part.delay,
-            });
-        }
-        Ok(maps)
+    pub fn run(&mut self, view: &View) -> Result<Vec<Encoded>, TrainError> {
+        let looks = view.looks(&self.model).into_iter();
+        looks.map(|look| self.encode(&look)).collect()
+    }
+
+    fn encode(&mut self, look: &Look) -> Result<Encoded, TrainError> {
+        let (canvas, _) = self.pillarer.run(&look.scene.points());
+        Ok(Encoded {
+            map: self.network.encode(canvas)?,
+            member: look.member,
+        })
     }
 
     /// Fuses and looks for boxes.

@@ -60,10 +60,10 @@ mod tests {
         let outline = Outline::new(&scene.objects[0].hwl, 0.0);
         for corner in [[2.2, 0.9], [2.2, -0.9], [-2.2, -0.9], [-2.2, 0.9]] {
             let [x, y] = outline.place(corner);
-            scene.push([x, y, 1.3]);
+            scene.push([x, y, 1.3], 0);
         }
-        scene.push([20.0, 4.0, 0.52]);
-        scene.push([20.0, 12.0, 1.3]);
+        scene.push([20.0, 4.0, 0.52], 0);
+        scene.push([20.0, 12.0, 1.3], 0);
         scene
     }
 

@@ -2,7 +2,7 @@
 //! targets.
 
 use crate::targets::{Object, Targets, assign};
-use nalgebra::{Isometry3, Matrix3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Matrix4, UnitQuaternion, Vector3};
 use realo_methods::Model;
 use realo_methods::detect::pillars::{Pillariser, Points};
 use realo_nn::anchors::Anchors;
@@ -12,7 +12,7 @@ use serde::{Deserialize, Serialize};
 use super::crowd::{clear, crowd};
 use super::frame::{AgentSweep, Frame, Return};
 use super::resize::resize;
-use crate::fusing::learns_to_fuse;
+use crate::fusing::fuses;
 use crate::layers::PillarFrame;
 use crate::random::Stream;
 
@@ -112,20 +112,28 @@ impl Augmentation {
 
     /// What a model needs.
     pub fn of(model: &Model) -> Self {
-        match learns_to_fuse(model) {
+        match fuses(model) {
             true => Augmentation::of_fusion(),
             false => Augmentation::default(),
         }
     }
 
-    /// For a fusion: the others' poses err, and most egos have company.
+    /// For a fusion: most egos have company.
     pub fn of_fusion() -> Self {
         Augmentation {
             roadside_ego: 0.2,
-            alone: 0.1,
-            everybody: 0.6,
-            pose_noise: Augmentation::default().pose_noise,
-            ..Augmentation::none()
+            alone: 0.15,
+            everybody: 0.35,
+            decoys: 0,
+            ..Augmentation::default()
+        }
+    }
+
+    /// The share of points that is kept of all sweeps of a sample.
+    pub(crate) fn share(&self, draws: &mut Stream) -> f64 {
+        match draws.chance(self.drop) {
+            true => draws.between(self.keep, 1.0),
+            false => 1.0,
         }
     }
 
@@ -183,6 +191,19 @@ impl Cast {
         }
         Cast { ego, others }
     }
+
+    /// The sweeps that take part, the ego's first; the others' poses err.
+    pub(crate) fn parts<'a>(&self, frame: &'a Frame, how: &Augmentation, draws: &mut Stream) -> Vec<Part<'a>> {
+        let exact = |agent: usize| {
+            let sweep = &frame.agents[agent];
+            Part {
+                sweep,
+                map_from_sweep: sweep.map_from_body,
+            }
+        };
+        let others = self.others.iter().map(|other| exact(*other).astray(how, draws));
+        std::iter::once(exact(self.ego)).chain(others).collect()
+    }
 }
 
 /// The agents within 70 m of one.
@@ -207,15 +228,7 @@ pub(crate) struct Kept {
 }
 
 impl Kept {
-    /// Everything.
-    pub fn all() -> Self {
-        Kept {
-            beams: Vec::new(),
-            share: 1.0,
-        }
-    }
-
-    fn draw(agent: &AgentSweep, share: f64, how: &Augmentation, draws: &mut Stream) -> Self {
+    pub fn draw(agent: &AgentSweep, share: f64, how: &Augmentation, draws: &mut Stream) -> Self {
         let mut kept = Kept {
             beams: Vec::new(),
             share,
@@ -245,7 +258,7 @@ impl Kept {
     }
 
     /// Share of an agent's points that is kept.
-    fn of(&self, agent: &AgentSweep) -> f64 {
+    pub fn of(&self, agent: &AgentSweep) -> f64 {
         let kept = agent.points.iter().filter(|point| self.has(point)).count();
         self.share * kept as f64 / agent.points.len().max(1) as f64
     }
@@ -265,6 +278,33 @@ pub(crate) struct Change {
     mirror: [f64; 2],
     turn: f64,
     scale: f64,
+}
+
+/// A rigid motion of points.
+struct Moved {
+    rotation: [[f32; 3]; 3],
+    shift: [f32; 3],
+    still: bool,
+}
+
+impl Moved {
+    fn by(motion: &Matrix4<f64>) -> Self {
+        Moved {
+            rotation: [0, 1, 2].map(|row| [0, 1, 2].map(|column| motion[(row, column)] as f32)),
+            shift: [0, 1, 2].map(|row| motion[(row, 3)] as f32),
+            still: *motion == Matrix4::identity(),
+        }
+    }
+
+    fn point(&self, [x, y, z]: [f32; 3]) -> [f32; 3] {
+        match self.still {
+            true => [x, y, z],
+            false => std::array::from_fn(|i| {
+                let [a, b, c] = self.rotation[i];
+                a * x + b * y + c * z + self.shift[i]
+            }),
+        }
+    }
 }
 
 impl Change {
@@ -297,6 +337,14 @@ impl Change {
         [x, y, z + self.lift]
     }
 
+    /// A motion between two frames as it is between the changed ones.
+    pub fn of_motion(&self, motion: &Matrix4<f64>) -> Matrix4<f64> {
+        let mut change = self.matrix.to_homogeneous();
+        change[(2, 3)] = self.lift;
+        let back = change.try_inverse().expect("a change keeps volumes");
+        change * motion * back
+    }
+
     /// A box as `x, y, z, h, w, l, yaw`; it stays upright.
     fn hwl(&self, [x, y, z, h, w, l, yaw]: [f64; 7]) -> [f64; 7] {
         let [x, y, z] = self.point([x, y, z]);
@@ -319,6 +367,8 @@ impl Change {
 pub(crate) struct Scene {
     /// x, y, z of its points, m.
     pub columns: [Vec<f32>; 3],
+    /// Of each point the number of the sweep that it is of.
+    pub sources: Vec<u8>,
     pub objects: Vec<Object>,
     /// Objects of which too few points are kept: neither an answer that should be given nor background.
     pub faint: Vec<Object>,
@@ -333,27 +383,36 @@ pub(crate) fn classes_in(model: &Model, classes: &[String]) -> Vec<Option<usize>
         .collect()
 }
 
+/// A sweep that takes part in a sample, with the pose that its agent believes it has.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Part<'a> {
+    pub sweep: &'a AgentSweep,
+    pub map_from_sweep: Isometry3<f64>,
+}
+
+impl Part<'_> {
+    /// The same with a pose that errs.
+    pub fn astray(self, how: &Augmentation, draws: &mut Stream) -> Self {
+        let map_from_sweep = self.map_from_sweep * how.pose_error(draws);
+        Part { map_from_sweep, ..self }
+    }
+}
+
 impl Scene {
-    /// Merges the clouds of a cast, the ego's first.
-    pub fn new(frame: &Frame, cast: &Cast, model: &Model, how: &Augmentation, draws: &mut Stream) -> Self {
-        let ego = &frame.agents[cast.ego];
-        let keep = if draws.chance(how.drop) {
-            draws.between(how.keep, 1.0)
-        } else {
-            1.0
-        };
+    /// Merges sweeps of a frame, the ego's first.
+    pub fn new(frame: &Frame, parts: &[Part], model: &Model, how: &Augmentation, draws: &mut Stream) -> Self {
+        let ego = parts[0].sweep;
+        let keep = how.share(draws);
         let mut scene = Scene::default();
-        let mut take_part = vec![(ego, Isometry3::identity())];
-        take_part.extend(cast.others.iter().map(|other| {
-            let other = &frame.agents[*other];
-            let ego_from_other = ego.map_from_body.inverse() * other.map_from_body * how.pose_error(draws);
-            (other, ego_from_other)
-        }));
         let mut shares = Vec::new();
-        for (agent, ego_from_agent) in take_part {
-            let kept = Kept::draw(agent, keep, how, draws);
-            scene.add_points(agent, &ego_from_agent, &kept, draws);
-            shares.push((agent, kept.of(agent)));
+        for (number, part) in parts.iter().enumerate() {
+            let ego_from_sweep = match number {
+                0 => Isometry3::identity(),
+                _ => ego.map_from_body.inverse() * part.map_from_sweep,
+            };
+            let kept = Kept::draw(part.sweep, keep, how, draws);
+            scene.add_points(part.sweep, number as u8, &ego_from_sweep, &kept, draws);
+            shares.push((part.sweep, kept.of(part.sweep)));
         }
         scene.add_objects(frame, &shares, model);
         resize(&mut scene, how.resize, draws);
@@ -390,14 +449,16 @@ impl Scene {
         self.objects.iter().chain(&self.faint)
     }
 
-    /// Adds what is kept of an agent's points.
-    pub fn add_points(&mut self, agent: &AgentSweep, ego_from_agent: &Isometry3<f64>, kept: &Kept, draws: &mut Stream) {
-        let rotation = ego_from_agent.rotation.to_rotation_matrix();
-        let (r, t) = (
-            rotation.matrix().cast::<f32>(),
-            ego_from_agent.translation.vector.cast::<f32>(),
-        );
-        let still = *ego_from_agent == Isometry3::identity();
+    /// Adds what is kept of a sweep's points.
+    fn add_points(
+        &mut self,
+        agent: &AgentSweep,
+        source: u8,
+        ego_from_agent: &Isometry3<f64>,
+        kept: &Kept,
+        draws: &mut Stream,
+    ) {
+        let moved = Moved::by(&ego_from_agent.to_homogeneous());
         let threshold = (kept.share * f64::from(1 << 24)) as u32;
         // A cheap generator of its own: one draw for each of 10^5 points.
         let mut state = (draws.unit() * f64::from(u32::MAX)) as u32 | 1;
@@ -406,26 +467,36 @@ impl Scene {
             if state >> 8 >= threshold {
                 continue;
             }
-            let [x, y, z] = point.metres();
-            let moved = match still {
-                true => [x, y, z],
-                false => std::array::from_fn(|i| r[(i, 0)] * x + r[(i, 1)] * y + r[(i, 2)] * z + t[i]),
-            };
-            self.push(moved);
+            self.push(moved.point(point.metres()), source);
         }
     }
 
-    /// Adds a point, m.
-    pub fn push(&mut self, point: [f32; 3]) {
+    /// Adds a point, m, of a sweep.
+    pub fn push(&mut self, point: [f32; 3], source: u8) {
         for (column, value) in self.columns.iter_mut().zip(point) {
             column.push(value);
         }
+        self.sources.push(source);
     }
 
     /// Keeps the points of which this is true.
     pub fn retain(&mut self, stays: impl Fn([f32; 3]) -> bool) {
-        let left: Vec<[f32; 3]> = self.iter().filter(|point| stays(*point)).collect();
-        self.columns = std::array::from_fn(|axis| left.iter().map(|point| point[axis]).collect());
+        let (points, sources): (Vec<_>, Vec<_>) = self
+            .iter()
+            .zip(self.sources.iter().copied())
+            .filter(|(point, _)| stays(*point))
+            .unzip();
+        self.columns = std::array::from_fn(|axis| points.iter().map(|point: &[f32; 3]| point[axis]).collect());
+        self.sources = sources;
+    }
+
+    /// The points of one sweep alone, in its own frame or any other.
+    pub fn part(&self, source: u8, frame_from_ego: &Matrix4<f64>) -> Scene {
+        let moved = Moved::by(frame_from_ego);
+        let mut part = Scene::default();
+        let points = self.iter().zip(&self.sources).filter(|(_, of)| **of == source);
+        points.for_each(|(point, _)| part.push(moved.point(point), source));
+        part
     }
 
     /// Its points, m.
@@ -458,11 +529,15 @@ impl Scene {
         }
     }
 
+    /// Its points as a network of a grid sees them.
+    pub fn pillars(&self, model: &Model) -> PillarFrame {
+        let mut pillariser = Pillariser::new(&model.grid, model.pillars.points, model.pillars.pillars);
+        PillarFrame::new(&model.grid, pillariser.run(&self.points()), &model.pillars)
+    }
+
     /// The scene as a network of a grid sees it.
     pub fn sample(self, model: &Model) -> Sample {
-        let mut pillariser = Pillariser::new(&model.grid, model.pillars.points, model.pillars.pillars);
-        let pillars = pillariser.run(&self.points());
-        let pillars = PillarFrame::new(&model.grid, pillars, &model.pillars);
+        let pillars = self.pillars(model);
         let targets = self.targets(model);
         let (objects, ego_points) = self.objects_within(&model.grid);
         Sample {
@@ -562,7 +637,9 @@ mod tests {
 
     fn scene(others: Vec<usize>, how: &Augmentation, number: u64) -> Scene {
         let mut draws = Stream::new(1, "test", number);
-        let mut scene = Scene::new(&frame(), &Cast { ego: 0, others }, &model(), how, &mut draws);
+        let (frame, cast) = (frame(), Cast { ego: 0, others });
+        let parts = cast.parts(&frame, how, &mut draws);
+        let mut scene = Scene::new(&frame, &parts, &model(), how, &mut draws);
         scene.change(&Change::draw(how, std::f64::consts::PI, &mut draws));
         scene
     }
@@ -600,13 +677,9 @@ mod tests {
             ego: 0,
             others: vec![1],
         };
-        let empty = Scene::new(
-            &unseen,
-            &cast,
-            &model(),
-            &Augmentation::none(),
-            &mut Stream::new(1, "test", 0),
-        );
+        let (how, mut draws) = (Augmentation::none(), Stream::new(1, "test", 0));
+        let parts = cast.parts(&unseen, &how, &mut draws);
+        let empty = Scene::new(&unseen, &parts, &model(), &how, &mut draws);
         assert_eq!(labels(empty)[0], 0, "nobody has a point of it");
     }
 
@@ -680,7 +753,7 @@ mod tests {
             let mut draws = Stream::new(2, "test", number);
             let kept = Kept::draw(&agent, 1.0, &how, &mut draws);
             let mut scene = Scene::default();
-            scene.add_points(&agent, &Isometry3::identity(), &kept, &mut draws);
+            scene.add_points(&agent, 0, &Isometry3::identity(), &kept, &mut draws);
             let left = scene.columns[0].len();
             assert_eq!(left as f64, 4000.0 * kept.of(&agent));
             assert!(left.is_multiple_of(100) && left >= 1000, "{left} points of whole beams");

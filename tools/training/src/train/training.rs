@@ -18,8 +18,9 @@ use super::{Data, News, Observer, Progress, TrainOptions, Trained};
 use crate::TrainError;
 use crate::checkpoint::{Checkpoint, TrainingPlan, write_weights};
 use crate::curve::{Curve, Point};
-use crate::data::{Batch, Frames, Input, LATER, MapEncoder, REACH, Recipe, Supply, left_out_once, write_whole};
-use crate::fusing::{beginning, learns_to_fuse, start};
+use crate::data::{Batch, Frames, LATER, REACH, Recipe, Supply, left_out_once, write_whole};
+use crate::freeze::Frozen;
+use crate::fusing::{beginning, fuses, start};
 use crate::layers::Arithmetic;
 use crate::network::Network;
 use crate::optimizer::AdamW;
@@ -102,6 +103,7 @@ pub(crate) fn check_frames_suit(model: &Model) -> Result<(), TrainError> {
 fn plan(options: &TrainOptions, model: &Model, data: &str, from: Option<String>) -> TrainingPlan {
     TrainingPlan {
         model: model.clone(),
+        frozen: Frozen::of(model, &options.freeze),
         seed: options.seed,
         batch: options.batch,
         steps: options.steps,
@@ -115,13 +117,7 @@ fn plan(options: &TrainOptions, model: &Model, data: &str, from: Option<String>)
 }
 
 /// What batches are made of; every frame is used as often as the others.
-fn recipe(
-    options: &TrainOptions,
-    model: &Model,
-    frames: &Arc<dyn Frames>,
-    supply: Supply,
-    maps: Option<MapEncoder>,
-) -> Recipe {
+fn recipe(options: &TrainOptions, model: &Model, frames: &Arc<dyn Frames>, supply: Supply) -> Recipe {
     let samples = options.steps * options.batch as u64;
     Recipe {
         frames: frames.clone(),
@@ -133,7 +129,6 @@ fn recipe(
         parts: options.parts,
         whole_from: options.steps - options.steps / WHOLE,
         supply: Arc::new(Mutex::new(supply)),
-        encoder: maps.map(|maps| Arc::new(Mutex::new(maps))),
     }
 }
 
@@ -151,7 +146,7 @@ impl<'a> Training<'a> {
             });
         }
         let start = start(&model, options.from.as_deref(), options.seed)?;
-        let source = Source::open(&options.data, learns_to_fuse(&model))?;
+        let source = Source::open(&options.data, fuses(&model))?;
         let validation = Scored::of(options, &source.frames)?;
         say_left_out(&source.frames, &validation, observer);
         let from = start.as_ref().map(|start| start.identity.clone());
@@ -161,11 +156,7 @@ impl<'a> Training<'a> {
         let mut state = state(options, &model, weights, plan, &checkpoint)?;
         state.network.arithmetic = options.arithmetic.unwrap_or_else(Arithmetic::fastest);
         state.network.frozen_norms = options.frozen_norms;
-        let maps = match learns_to_fuse(&model) {
-            true => Some(MapEncoder::new(&model, &state.network.weights()?, 1)?),
-            false => None,
-        };
-        let recipe = recipe(options, &model, &source.frames, state.supply.clone(), maps);
+        let recipe = recipe(options, &model, &source.frames, state.supply.clone());
         let mut filling = Filling::default();
         filling
             .threads
@@ -395,10 +386,7 @@ impl<'a> Training<'a> {
         let step = optimizer.steps;
         let how = &self.options.optimizer;
         let weights = crate::loss::LossWeights::default();
-        let pass = match &batch.input {
-            Input::Points(pillars) => network.pass(pillars, &batch.targets, &weights)?,
-            Input::Maps(samples) => network.pass_on_maps(samples, &batch.targets, &weights)?,
-        };
+        let pass = network.pass(batch, &weights)?;
         let class = pass.losses.iter().map(|loss| loss.class).sum::<f64>();
         let regression = pass.losses.iter().map(|loss| loss.regression).sum::<f64>();
         if !(class + regression).is_finite() {
@@ -483,9 +471,9 @@ impl<'a> Training<'a> {
 
     fn validate(&self, network: &Network) -> Result<Validation, TrainError> {
         let frames = &self.validation.frames;
-        match self.recipe.encoder {
-            Some(_) => validate_fusion(network, frames),
-            None => validate(network, frames),
+        match fuses(&self.model) {
+            true => validate_fusion(network, frames),
+            false => validate(network, frames),
         }
     }
 
@@ -563,10 +551,11 @@ fn state(
                     "there is none, but there are weights, {weights}, that a training would overwrite; choose another folder"
                 )));
             }
-            let network = match start {
+            let mut network = match start {
                 Some(start) => beginning(model, start, options.seed)?,
                 None => Network::random(model, options.seed)?,
             };
+            network.freeze(&plan.frozen);
             Ok(Checkpoint {
                 optimizer: AdamW::new(&network),
                 network,
