@@ -186,6 +186,77 @@ fn a_signal_ends_a_training_after_its_step_with_weights_to_go_on_from() {
 }
 
 #[test]
+fn a_recipe_is_made_installed_and_its_card_scores_to_the_digit() {
+    let out = folder("workbench-recipe");
+    let at = |name: &str| out.join(name);
+    let small = root().join("tools/training/tests/small.toml");
+    fs::copy(&small, at("small.toml")).expect("a model file");
+    let stages = r#"
+[[stage]]
+name = "first"
+model = "small.toml"
+steps = 3
+seeds = "0..2"
+per_seed = 1
+
+[[stage]]
+name = "second"
+model = "small.toml"
+from = "first"
+steps = 2
+seeds = "0..2"
+per_seed = 1
+card = { about = "A small detector.", limits = ["It finds nothing."] }
+"#;
+    fs::write(at("small.recipe.toml"), stages).expect("the folder can be written");
+    let run = |words: &[&str]| {
+        let mut command = workbench();
+        command.args(words).current_dir(&out).stdin(Stdio::null());
+        let output = command.output().expect("the workbench can be started");
+        (output.status.code(), text(&output.stdout), text(&output.stderr))
+    };
+    let (code, said, _) = run(&["train", "small.recipe.toml", "--plan"]);
+    assert_eq!(code, Some(0));
+    for part in [
+        "first: 0 of 3 steps",
+        "second: 0 of 2 steps",
+        "all: 1 min on this machine",
+    ] {
+        assert!(said.contains(part), "{part} is not in {said}");
+    }
+    let (code, _, errors) = run(&["train", "small.recipe.toml", "--steps", "9"]);
+    assert!(
+        code == Some(1) && errors.contains("small.recipe.toml: --steps is for the stages"),
+        "{errors}"
+    );
+    let (code, said, errors) = run(&["train", "small.recipe.toml", "--install"]);
+    assert_eq!(code, Some(0), "{said}\n{errors}");
+    let card = fs::read_to_string(at("small.md")).expect("a card");
+    for part in [
+        "A small detector.",
+        "`small.safetensors`, sha256",
+        "| second | first | 2 × 2 |",
+        "- It finds nothing.",
+    ] {
+        assert!(card.contains(part), "{part} is not in {card}");
+    }
+    assert!(at("small.safetensors").exists() && at("small.svg").exists());
+    let (code, said, errors) = run(&["score", "small.toml", "--check"]);
+    assert_eq!((code, said.trim()), (Some(0), "small.md: the same digits"), "{errors}");
+    fs::write(at("small.md"), card.replace("| mean | |", "| mean | 9 |")).expect("a card");
+    let (code, said, _) = run(&["score", "small.toml", "--check"]);
+    assert!(
+        code == Some(1) && said.contains("expected the table of its card"),
+        "{said}"
+    );
+    let (_, said, _) = run(&["train", "small.recipe.toml"]);
+    assert!(
+        said.contains("first: there already") && said.contains("second: there already"),
+        "{said}"
+    );
+}
+
+#[test]
 fn each_program_names_itself_and_the_other_one_s_commands() {
     let output = lab(["simulate", "--seed", "1", "--seconds", "0", "-o", "x.mcap"]);
     let said = text(&output.stderr);

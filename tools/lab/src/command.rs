@@ -6,7 +6,7 @@ use eyre::Result;
 use realo_cli::Outcome;
 use realo_cli::program::{self, Elsewhere};
 
-use crate::{bench, checkpoint, conformance, emulate, import, measure, quantize, simulate, train};
+use crate::{bench, checkpoint, conformance, emulate, import, measure, quantize, score, simulate, train};
 
 /// What the car's program does, for who asks this one for it.
 const CAR: Elsewhere = Elsewhere {
@@ -45,6 +45,7 @@ struct Cli {
 enum Command {
     Simulate(simulate::Args),
     Train(train::Args),
+    Score(score::Args),
     Quantize(quantize::Args),
     Checkpoint(checkpoint::Args),
     Import(import::Args),
@@ -64,6 +65,7 @@ impl Command {
         match self {
             Command::Simulate(args) => simulate::main(args),
             Command::Train(args) => train::main(args),
+            Command::Score(args) => score::main(args),
             Command::Quantize(args) => quantize::main(args),
             Command::Checkpoint(args) => checkpoint::main(args),
             Command::Import(args) => import::main(args),

@@ -10,6 +10,7 @@ mod emulate;
 mod import;
 pub mod measure;
 mod quantize;
+mod score;
 mod simulate;
 mod statistics;
 mod train;

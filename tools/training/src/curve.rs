@@ -66,6 +66,11 @@ const MARGIN: f64 = 50.0;
 const DETAIL: usize = 400;
 
 impl Curve {
+    /// Time of all steps, s.
+    pub fn seconds(&self) -> f64 {
+        self.points.iter().map(|point| point.seconds).sum()
+    }
+
     /// A line for each step, after one with names.
     pub fn to_csv(&self) -> String {
         let mut text = String::from("step,loss,class_loss,box_loss,gradient_norm,learning_rate,seconds\n");

@@ -15,6 +15,7 @@ pub mod network;
 pub mod optimizer;
 mod quantize;
 mod random;
+pub mod recipe;
 mod scored;
 pub mod tape;
 mod train;
@@ -29,5 +30,7 @@ pub use fusing::fuses;
 pub use quantize::{Quantized, quantize};
 pub use realo_objective::{loss, targets};
 pub use scored::{Before, Comparison, FRAMES_APART, MAX_GAP_MS};
-pub use train::{Data, News, Progress, TrainOptions, Trained, frames, train, train_with, validation_frames};
-pub use validate::{ClassScore, Validation, validate};
+pub use train::{
+    Data, News, PER_SEED, Progress, SEEDS, TrainOptions, Trained, frames, train, train_with, validation_frames,
+};
+pub use validate::{ClassScore, Validation, score, validate};

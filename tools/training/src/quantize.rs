@@ -4,20 +4,17 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use realo_kernels::agents::Agent;
 use realo_methods::Model;
 use realo_methods::network::calibration::Calibration;
 use realo_methods::network::{Network, NetworkOptions};
-use realo_methods::{Kernels, Pillarer, load};
-use realo_nn::anchors::Anchors;
+use realo_methods::{Kernels, load};
 use realo_nn::model::Precision;
-use realo_nn::weights::Weights;
 use serde::Serialize;
 
 use crate::TrainError;
 use crate::data::{Frames, write_whole};
 use crate::train::check_frames_suit;
-use crate::validate::{Validation, boxes, each_scene, validate_by};
+use crate::validate::{Validation, each_scene, score_network};
 
 /// What quantising came to.
 #[derive(Clone, Debug)]
@@ -74,7 +71,10 @@ pub fn quantize(
         ..model.clone()
     };
     quantized.validate()?;
-    let score = |model: &Model| score(model, weights, validation);
+    let score = |model: &Model| {
+        let network = Network::new(model, weights, NetworkOptions::default())?;
+        score_network(model, weights, network, validation)
+    };
     let single = Model {
         precision: Precision::F32,
         ..model.clone()
@@ -94,22 +94,5 @@ pub fn quantize(
         sweeps,
         before,
         after,
-    })
-}
-
-fn score(model: &Model, weights: &Weights, frames: &Arc<dyn Frames>) -> Result<Validation, TrainError> {
-    let mut network = Network::new(model, weights, NetworkOptions::default())?;
-    let mut pillarer = Pillarer::beside(&network, model, weights);
-    let anchors = Anchors::of(model);
-    validate_by(model, frames, |scene| {
-        let (canvas, _) = pillarer.run(&scene.points());
-        let map = network.encode(canvas)?;
-        let map = match model.arch.fuses() {
-            true => network.fuse(&[Agent::beside(&map)])?,
-            false => map,
-        };
-        let heads = network.heads(&map)?;
-        let found = boxes(&anchors, &heads.scores, &heads.deltas);
-        Ok((found, scene.objects_within(&model.grid).0))
     })
 }

@@ -11,8 +11,8 @@ use std::time::{Duration, Instant};
 use realo_methods::Model;
 
 pub use self::source::{frames, validation_frames};
-pub(crate) use self::training::check_frames_suit;
-use self::training::{CHECKPOINT, Training};
+use self::training::Training;
+pub(crate) use self::training::{CHECKPOINT, check_frames_suit, copy_model, write_sums};
 use crate::TrainError;
 use crate::checkpoint::Checkpoint;
 use crate::curve::Point;
@@ -55,8 +55,7 @@ pub struct TrainOptions {
     pub freeze: Vec<Part>,
     /// Whether batch norms take the statistics of the weights that are begun with, and leave them, in place of each batch's.
     pub frozen_norms: bool,
-    /// Probability that a step sees parts of the range, before the last third of the steps: squares, turned by any angle; of a model that fuses half of the
-    /// range along x.
+    /// Probability that a step sees parts of the range, before the last third of the steps: squares, turned by any angle.
     pub parts: f64,
     /// Minutes from one checkpoint to the next.
     pub checkpoint_minutes: f64,
@@ -74,6 +73,59 @@ pub struct TrainOptions {
     pub threads: Option<usize>,
     /// Of the products of convolutions; by default what the CPU computes fastest. A training may be resumed in the other one.
     pub arithmetic: Option<Arithmetic>,
+}
+
+/// Samples of a step, unless others are asked for.
+pub const BATCH: usize = 2;
+/// Simulator seeds for training.
+pub const SEEDS: std::ops::Range<u64> = 0..TRAINING_SEEDS;
+/// Frames of a simulator seed, unless more are asked for.
+pub const PER_SEED: usize = 3;
+/// Probability that a step sees parts of the range, unless another is asked for.
+pub const PARTS: f64 = 0.75;
+/// Steps where neither they nor a time is given.
+const STEPS: u64 = 20_000;
+/// Max learning rate from random numbers, and of a fusion behind an encoder.
+const RATE: f64 = 2e-3;
+/// Max learning rate of a network that begins with good weights: a few steps at the other one ruin them.
+const TUNING_RATE: f64 = 5e-4;
+
+impl TrainOptions {
+    /// A usual training of a model.
+    ///
+    /// # Errors
+    /// [`TrainError::ModelFile`].
+    pub fn new(model: PathBuf, from: Option<PathBuf>, output: PathBuf, data: Data) -> Result<Self, TrainError> {
+        let read = Model::read(&model)?;
+        // What is behind another file's encoder begins with random numbers.
+        let is_tuned = from.is_some() && read.encoder.is_none();
+        Ok(TrainOptions {
+            model,
+            from,
+            output,
+            resume: false,
+            data,
+            steps: STEPS,
+            minutes: None,
+            fit_steps: false,
+            seed: 0,
+            batch: BATCH,
+            freeze: Vec::new(),
+            frozen_norms: is_tuned,
+            parts: PARTS,
+            checkpoint_minutes: 3.0,
+            validate_every: None,
+            compare: true,
+            validation: None,
+            optimizer: OptimizerSettings {
+                rate: if is_tuned { TUNING_RATE } else { RATE },
+                ..OptimizerSettings::default()
+            },
+            augmentation: Augmentation::of(&read),
+            threads: None,
+            arithmetic: None,
+        })
+    }
 }
 
 /// Where frames come from.
@@ -130,7 +182,7 @@ pub struct Trained {
 }
 
 /// What a training says while it goes on.
-#[derive(Debug)]
+#[derive(Clone, Debug)]
 pub enum News<'a> {
     /// What of the logs it neither learns from nor is scored on; before anything else, and only if there is something.
     LeftOut(&'a [LeftOut]),
@@ -181,6 +233,22 @@ pub fn train_with(
             training.run(before, &mut observer)
         }
     })
+}
+
+/// Mean seconds of a step of a training, by some that are forgotten with their folder; `seconds`: for so long each kind of steps is
+/// timed.
+///
+/// # Errors
+/// As [`train`].
+pub(crate) fn pace(options: &TrainOptions, seconds: f64) -> Result<f64, TrainError> {
+    check(options)?;
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(options.threads.unwrap_or(0))
+        .build()
+        .map_err(|error| option("threads", "a number of threads that can be started", error))?;
+    let pace = pool.install(|| Training::new(options, &mut |_| ControlFlow::Continue(()))?.pace(seconds));
+    let _ = std::fs::remove_dir_all(&options.output);
+    pace
 }
 
 /// Share of the time that goes into what is timed first, at each of the two sizes of samples.

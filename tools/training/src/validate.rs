@@ -1,21 +1,27 @@
 //! How good a network is on frames that it was not trained on.
 
+use std::path::Path;
 use std::sync::Arc;
 
 use crate::targets::Object;
-use realo_methods::Model;
+use realo_kernels::agents::Agent;
+use realo_methods::network::Network as Inference;
+use realo_methods::{Kernels, Model, Pillarer, load};
 use realo_nn::anchors::{Anchors, Hwl};
 use realo_nn::decode::{Detection, candidates};
+use realo_nn::weights::Weights;
 use realo_schemas::geometry::{Footprint, iou, iou_exceeds};
 
 use crate::TrainError;
 use crate::data::{
     AgentSweep, Augmentation, Cast, Decoys, Frame, Frames, MapEncoder, Member, Party, Project, Scene, gather, near,
 };
+use crate::fusing::fuses;
 use crate::layers::{MapShape, with_numbers};
 use crate::network::{Network, inner};
 use crate::random::Stream;
 use crate::tape::Tape;
+use crate::train::check_frames_suit;
 
 /// A box is left out if it overlaps more than this with a better one.
 const SUPPRESSED: f64 = 0.15;
@@ -125,7 +131,12 @@ pub(crate) fn validate_by(
 /// [`TrainError`] if a frame cannot be had or the network does not run.
 pub(crate) fn validate_fusion(network: &Network, frames: &Arc<dyn Frames>) -> Result<Validation, TrainError> {
     let model = network.model();
-    let mut encoder = MapEncoder::new(model, &network.weights()?, rayon::current_num_threads())?;
+    let encoder = MapEncoder::new(model, &network.weights()?, rayon::current_num_threads())?;
+    validate_maps(model, encoder, frames)
+}
+
+/// As [`validate_fusion`], of maps and boxes that an inference network makes.
+fn validate_maps(model: &Model, mut encoder: MapEncoder, frames: &Arc<dyn Frames>) -> Result<Validation, TrainError> {
     let anchors = Anchors::of(model);
     let mut books = Books::new(model, &OF_FUSIONS);
     let (how, mut draws) = (Augmentation::none(), Stream::new(0, "validation", 0));
@@ -151,6 +162,45 @@ pub(crate) fn validate_fusion(network: &Network, frames: &Arc<dyn Frames>) -> Re
         }
     }
     Ok(books.close(frames.len()))
+}
+
+/// Scores the weights of a model file by the kernels that run it, on frames, with each vehicle of a frame as ego.
+///
+/// # Errors
+/// [`TrainError`] if model, weights or a frame cannot be had, or frames are not what the model sees.
+pub fn score(file: &Path, kernels: Kernels, frames: &Arc<dyn Frames>) -> Result<Validation, TrainError> {
+    let loaded = load(file, kernels)?;
+    let (model, weights) = (&*loaded.model, &*loaded.weights);
+    check_frames_suit(model)?;
+    match fuses(model) {
+        true => validate_maps(model, MapEncoder::of(model, weights, loaded.network), frames),
+        false => score_network(model, weights, loaded.network, frames),
+    }
+}
+
+/// Scores a network that sees clouds, those of others merged into the ego's.
+///
+/// # Errors
+/// As [`score`].
+pub(crate) fn score_network(
+    model: &Model,
+    weights: &Weights,
+    mut network: Inference,
+    frames: &Arc<dyn Frames>,
+) -> Result<Validation, TrainError> {
+    let mut pillarer = Pillarer::beside(&network, model, weights);
+    let anchors = Anchors::of(model);
+    validate_by(model, frames, |scene| {
+        let (canvas, _) = pillarer.run(&scene.points());
+        let map = network.encode(canvas)?;
+        let map = match model.arch.fuses() {
+            true => network.fuse(&[Agent::beside(&map)])?,
+            false => map,
+        };
+        let heads = network.heads(&map)?;
+        let found = boxes(&anchors, &heads.scores, &heads.deltas);
+        Ok((found, scene.objects_within(&model.grid).0))
+    })
 }
 
 /// What was found and what was there, by way and class.

@@ -26,7 +26,7 @@ use eyre::{Result, bail, ensure, eyre};
 
 use page::{Kind, Page};
 use programs::Programs;
-use provenance::Tree;
+pub(crate) use provenance::{Tree, machine};
 use recipes::Recipes;
 
 /// Runs what a page of docs/measured needs, and writes the page

@@ -99,6 +99,12 @@ impl Tree {
         })
     }
 
+    /// Its commit, and whether it has changes that are in none.
+    pub fn commit(&self) -> String {
+        let changed = if self.is_changed { " with changes" } else { "" };
+        format!("`{}`{changed}", self.commit)
+    }
+
     /// Refuses a tree with changes, whose commit would not be what was measured.
     ///
     /// # Errors
@@ -118,9 +124,8 @@ impl Tree {
     /// Weights that are not there.
     pub fn provenance(&self, page: &Page, command: String) -> Result<Provenance> {
         let hashed = |file: &String| Ok((file.clone(), sha256(&self.root.join(file))?));
-        let changed = if self.is_changed { " with changes" } else { "" };
         Ok(Provenance {
-            commit: format!("`{}`{changed}", self.commit),
+            commit: self.commit(),
             command,
             weights: page.weights.iter().map(hashed).collect::<Result<_>>()?,
             machine: (page.kind == Kind::Times).then(machine),

@@ -43,7 +43,7 @@ pub struct Batch {
 
 /// What batches are made of; a step's batch depends on nothing else.
 #[derive(Clone)]
-pub struct Recipe {
+pub struct Sampling {
     /// The frames.
     pub frames: Arc<dyn Frames>,
     /// The network's model.
@@ -64,7 +64,7 @@ pub struct Recipe {
     pub supply: Arc<Mutex<Supply>>,
 }
 
-impl Recipe {
+impl Sampling {
     /// The frame that a sample is drawn from. Frames join in their order, so that those yet to be made are asked for at an
     /// even pace.
     fn frame(&self, sample: u64) -> usize {
@@ -254,8 +254,8 @@ mod tests {
         Model::read(&std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../models/lite.toml")).unwrap()
     }
 
-    fn recipe(frames: usize, uses: u64) -> Recipe {
-        Recipe {
+    fn sampling(frames: usize, uses: u64) -> Sampling {
+        Sampling {
             frames: Arc::new(Rows(frames)),
             model: model(),
             augmentation: Augmentation::default(),
@@ -270,10 +270,10 @@ mod tests {
 
     #[test]
     fn frames_join_at_an_even_pace_and_are_used_alike() {
-        let recipe = recipe(1000, 5);
+        let sampling = sampling(1000, 5);
         let mut uses = vec![0; 1000];
         for sample in 0..5000 {
-            let frame = recipe.frame(sample);
+            let frame = sampling.frame(sample);
             assert!(
                 frame as u64 <= sample / 5,
                 "frame {frame} is asked for at sample {sample}"
@@ -289,8 +289,8 @@ mod tests {
     #[test]
     fn a_batch_is_the_same_whoever_makes_it() {
         let samples = |batch: Result<Batch, TrainError>| batch.unwrap().targets;
-        let whole: Vec<_> = (0..4).map(|step| samples(recipe(8, 1).batch(step))).collect();
-        let (batches, thread) = recipe(8, 1).start(2);
+        let whole: Vec<_> = (0..4).map(|step| samples(sampling(8, 1).batch(step))).collect();
+        let (batches, thread) = sampling(8, 1).start(2);
         let resumed: Vec<_> = batches.iter().take(2).map(samples).collect();
         drop(batches);
         thread.join().unwrap();
@@ -299,8 +299,8 @@ mod tests {
 
     #[test]
     fn samples_hold_decoys_from_the_step_on_that_has_them() {
-        let count = |recipe: &Recipe, step| recipe.batch(step).unwrap().pillars.count();
-        let (plain, pasting) = (recipe(8, 1), recipe(8, 1));
+        let count = |sampling: &Sampling, step| sampling.batch(step).unwrap().pillars.count();
+        let (plain, pasting) = (sampling(8, 1), sampling(8, 1));
         let post: Vec<f32> = (1..40).flat_map(|i| [0.0, 0.9, 15.0, 0.0, 0.04 * i as f32]).collect();
         pasting.supply.lock().unwrap().add(4, Decoys::from_numbers(&post));
         for step in 0..4 {

@@ -210,12 +210,16 @@ impl MapEncoder {
             threads,
             ..NetworkOptions::default()
         };
-        let network = Network::new(model, weights, options)?;
-        Ok(MapEncoder {
+        Ok(MapEncoder::of(model, weights, Network::new(model, weights, options)?))
+    }
+
+    /// That of a network that is there.
+    pub fn of(model: &Model, weights: &Weights, network: Network) -> Self {
+        MapEncoder {
             model: model.clone(),
             pillarer: Pillarer::beside(&network, model, weights),
             network,
-        })
+        }
     }
 
     /// The maps of a sample's agents, the ego's first.

@@ -20,7 +20,7 @@ pub(crate) use frame::{REACH, write_whole};
 pub(crate) use frames::world;
 pub use frames::{Frames, SimulatedFrames};
 pub use left_out::{Cause, LeftOut, left_out_once};
-pub use loader::{Batch, Recipe};
+pub use loader::{Batch, Sampling};
 pub(crate) use loader::{LATER, gather};
 pub use logged::{LoggedData, LoggedFrames};
 pub use maps::Member;

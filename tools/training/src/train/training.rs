@@ -18,7 +18,7 @@ use super::{Data, News, Observer, Progress, TrainOptions, Trained};
 use crate::TrainError;
 use crate::checkpoint::{Checkpoint, TrainingPlan, write_weights};
 use crate::curve::{Curve, Point};
-use crate::data::{Batch, Frames, LATER, REACH, Recipe, Supply, left_out_once, write_whole};
+use crate::data::{Batch, Frames, LATER, REACH, Sampling, Supply, left_out_once, write_whole};
 use crate::freeze::Frozen;
 use crate::fusing::{beginning, fuses, start};
 use crate::layers::Arithmetic;
@@ -43,7 +43,7 @@ pub const CHECKPOINT: &str = "checkpoint.safetensors";
 pub struct Training<'a> {
     options: &'a TrainOptions,
     model: Model,
-    recipe: Recipe,
+    sampling: Sampling,
     filling: Filling,
     state: Checkpoint,
     /// The weights of `from`.
@@ -117,9 +117,9 @@ fn plan(options: &TrainOptions, model: &Model, data: &str, from: Option<String>)
 }
 
 /// What batches are made of; every frame is used as often as the others.
-fn recipe(options: &TrainOptions, model: &Model, frames: &Arc<dyn Frames>, supply: Supply) -> Recipe {
+fn sampling(options: &TrainOptions, model: &Model, frames: &Arc<dyn Frames>, supply: Supply) -> Sampling {
     let samples = options.steps * options.batch as u64;
-    Recipe {
+    Sampling {
         frames: frames.clone(),
         model: model.clone(),
         augmentation: options.augmentation.clone(),
@@ -156,7 +156,7 @@ impl<'a> Training<'a> {
         let mut state = state(options, &model, weights, plan, &checkpoint)?;
         state.network.arithmetic = options.arithmetic.unwrap_or_else(Arithmetic::fastest);
         state.network.frozen_norms = options.frozen_norms;
-        let recipe = recipe(options, &model, &source.frames, state.supply.clone());
+        let sampling = sampling(options, &model, &source.frames, state.supply.clone());
         let mut filling = Filling::default();
         filling
             .threads
@@ -164,7 +164,7 @@ impl<'a> Training<'a> {
         let training = Training {
             options,
             model,
-            recipe,
+            sampling,
             filling,
             state,
             start: start.map(|start| start.weights),
@@ -174,53 +174,19 @@ impl<'a> Training<'a> {
             _lock: lock,
         };
         training.check_classes()?;
-        training.copy_model(files)?;
+        copy_model(files, &options.output)?;
         Ok(training)
-    }
-
-    /// The model file, and those that it extends, beside its weights, so that the folder can be given to `realo run --model`.
-    fn copy_model(&self, files: Vec<ModelFile>) -> Result<(), TrainError> {
-        for (path, text) in files {
-            // Sums are those of the weights that it began with.
-            let text = without_sums(&text);
-            let beside = self.options.output.join(path.file_name().unwrap_or_default());
-            // A training that goes on may have been given its own copy.
-            if !std::fs::read(&beside).is_ok_and(|there| there == text) {
-                write_whole(&beside, &text)?;
-            }
-        }
-        Ok(())
-    }
-
-    /// Adds the sums of the finished weights to the copy of the model file.
-    fn write_sums(&self) -> Result<(), TrainError> {
-        let file = self
-            .options
-            .output
-            .join(self.options.model.file_name().unwrap_or_default());
-        let unreadable = |path: &Path| {
-            let path = path.to_path_buf();
-            move |error| TrainError::Write { path, error }
-        };
-        let mut text = without_sums(&std::fs::read(&file).map_err(unreadable(&file))?);
-        text.extend(b"\n[sha256]   # of the files of weights, which are checked when they are loaded\n");
-        for path in weights(&self.model, &self.options.output) {
-            let sum = sha256(&std::fs::read(&path).map_err(unreadable(&path))?);
-            let stem = path.file_stem().unwrap_or_default().to_string_lossy();
-            text.extend(format!("{stem} = \"{sum}\"\n").into_bytes());
-        }
-        write_whole(&file, &text)
     }
 
     /// Every class of the model needs an object.
     fn check_classes(&self) -> Result<(), TrainError> {
         let mut missing: Vec<&str> = self.model.classes.iter().map(|class| class.name.as_str()).collect();
         let frames = match self.options.data {
-            Data::Simulated { .. } => self.recipe.frames.len().min(SEARCHED),
-            Data::Logged { .. } => self.recipe.frames.len(),
+            Data::Simulated { .. } => self.sampling.frames.len().min(SEARCHED),
+            Data::Logged { .. } => self.sampling.frames.len(),
         };
         for index in 0..frames {
-            let frame = self.recipe.frames.load(index)?;
+            let frame = self.sampling.frames.load(index)?;
             let has = |class: &str| {
                 let objects = frame.agents.iter().flat_map(|agent| &agent.objects);
                 let mut counted = objects.filter(|object| object.points >= 5);
@@ -240,7 +206,7 @@ impl<'a> Training<'a> {
     /// `before`: the score that the training is compared with.
     pub fn run(mut self, before: Option<Before>, observer: &mut Observer) -> Result<Trained, TrainError> {
         let time = Time::new(self.options.minutes);
-        let (batches, loader) = self.recipe.clone().start(self.state.optimizer.steps);
+        let (batches, loader) = self.sampling.clone().start(self.state.optimizer.steps);
         let ended = self.steps(&batches, &time, before.as_ref(), observer)?.is_break();
         // The loader ends when nobody listens.
         drop(batches);
@@ -250,7 +216,7 @@ impl<'a> Training<'a> {
         // What was fitted into a time ends with it: the learning rate fell with the time.
         let complete = steps >= self.options.steps || (self.options.fit_steps && !ended);
         if complete {
-            self.write_sums()?;
+            write_sums(&self.options.model, &self.model, &self.options.output)?;
         }
         let comparison = match complete && self.options.compare {
             true => Some(Comparison {
@@ -355,11 +321,11 @@ impl<'a> Training<'a> {
     }
 
     fn timed(&mut self, whole_from: u64, seconds: f64) -> Result<f64, TrainError> {
-        let recipe = Recipe {
+        let sampling = Sampling {
             whole_from,
-            ..self.recipe.clone()
+            ..self.sampling.clone()
         };
-        let (batches, loader) = recipe.start(0);
+        let (batches, loader) = sampling.start(0);
         let mut step = |start: Instant| -> Result<f64, TrainError> {
             let batch = batches.recv().map_err(|_| TrainError::Stopped)??;
             self.step(&batch, start)?;
@@ -479,14 +445,14 @@ impl<'a> Training<'a> {
 
     /// Has later samples hold what is now taken for an object and is none.
     fn search_decoys(&mut self) -> Result<(), TrainError> {
-        if self.recipe.augmentation.decoys == 0 {
+        if self.sampling.augmentation.decoys == 0 {
             return Ok(());
         }
         let steps = self.state.optimizer.steps;
         let mut draws = Stream::new(self.options.seed, "decoys", steps);
-        let found = decoys(&self.state.network, &self.recipe.frames, &mut draws)?;
+        let found = decoys(&self.state.network, &self.sampling.frames, &mut draws)?;
         self.state.supply.add(steps + LATER, found);
-        let mut supply = self.recipe.supply.lock().unwrap_or_else(PoisonError::into_inner);
+        let mut supply = self.sampling.supply.lock().unwrap_or_else(PoisonError::into_inner);
         *supply = self.state.supply.clone();
         Ok(())
     }
@@ -507,6 +473,37 @@ impl<'a> Training<'a> {
         write_whole(&output("curve.svg"), state.curve.to_svg().as_bytes())?;
         Ok(weights.into_iter().next().expect("a model has weights"))
     }
+}
+
+/// Puts a model file, and those that it extends, beside its weights, so that the folder can be given to `realo run --model`.
+pub fn copy_model(files: Vec<ModelFile>, folder: &Path) -> Result<(), TrainError> {
+    for (path, text) in files {
+        // Sums are those of the weights that it began with.
+        let text = without_sums(&text);
+        let beside = folder.join(path.file_name().unwrap_or_default());
+        // A training that goes on may have been given its own copy.
+        if !std::fs::read(&beside).is_ok_and(|there| there == text) {
+            write_whole(&beside, &text)?;
+        }
+    }
+    Ok(())
+}
+
+/// Adds the sums of the finished weights in a folder to its copy of a model file.
+pub fn write_sums(file: &Path, model: &Model, folder: &Path) -> Result<(), TrainError> {
+    let file = folder.join(file.file_name().unwrap_or_default());
+    let unreadable = |path: &Path| {
+        let path = path.to_path_buf();
+        move |error| TrainError::Write { path, error }
+    };
+    let mut text = without_sums(&std::fs::read(&file).map_err(unreadable(&file))?);
+    text.extend(b"\n[sha256]   # of the files of weights, which are checked when they are loaded\n");
+    for path in weights(model, folder) {
+        let sum = sha256(&std::fs::read(&path).map_err(unreadable(&path))?);
+        let stem = path.file_stem().unwrap_or_default().to_string_lossy();
+        text.extend(format!("{stem} = \"{sum}\"\n").into_bytes());
+    }
+    write_whole(&file, &text)
 }
 
 /// A model file without its table `sha256`, with all else as it was written.

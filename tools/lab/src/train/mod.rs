@@ -1,68 +1,77 @@
-//! `realo-lab train`: a detector, or a network that fuses the maps of several agents, on the CPU.
+//! `realo-lab train`: a detector, or a network that fuses the maps of several agents, on the CPU; or all stages of a recipe.
+
+mod card;
+mod recipe;
 
 use std::ops::{ControlFlow, Range};
 use std::path::PathBuf;
 
-use eyre::{Result, bail};
+use eyre::{Result, ensure, eyre};
 use realo_cli::find::model as find_model;
 use realo_cli::{Outcome, Progress, signals};
-use realo_methods::Model;
-use realo_training::data::{Augmentation, LeftOut, LoggedData, PARTNER_REACH};
+use realo_training::data::{LeftOut, LoggedData, PARTNER_REACH};
 use realo_training::layers::Arithmetic;
-use realo_training::optimizer::OptimizerSettings;
+use realo_training::recipe::seeds_of;
 use realo_training::{
-    Before, ClassScore, Comparison, Data, FRAMES_APART, MAX_GAP_MS, News, Part, TrainOptions, Trained, Validation,
-    train_with,
+    Before, ClassScore, Comparison, Data, FRAMES_APART, MAX_GAP_MS, News, PER_SEED, Part, SEEDS, TrainOptions, Trained,
+    Validation, train_with,
 };
 
-/// Trains a model on frames drawn straight from simulator seeds, or from logs with ground truth
+/// Trains a model on frames drawn straight from simulator seeds, or from logs with ground truth; or makes all weights of a recipe
 #[derive(clap::Args)]
 pub struct Args {
-    /// The model file, or the name of a shipped one
+    /// The model file, or the name of a shipped one; or a recipe, `NAME.recipe.toml`, whose stages say all but where and how long
     #[arg(default_value = "lite")]
     model: PathBuf,
+    /// Of a recipe: say how long each stage takes, and make nothing
+    #[arg(long)]
+    plan: bool,
+    /// Of a recipe: put weights, curves and cards of finished stages beside it
+    #[arg(long, conflicts_with = "plan")]
+    install: bool,
     /// Begin with the weights of this model file, or shipped model; what they lack, as a fusion, begins at random
     #[arg(long, value_name = "MODEL")]
     from: Option<PathBuf>,
-    /// Folder of the results: checkpoint, weights, curve (CSV and SVG)
-    #[arg(long, default_value = "target/realo/training")]
-    out: PathBuf,
+    /// Folder of the results: checkpoint, weights, curve (CSV and SVG); of a recipe a folder for each stage
+    /// [default: target/realo/training, of a recipe target/realo/recipes/NAME]
+    #[arg(long)]
+    out: Option<PathBuf>,
     /// Folder of the training frames; what is missing is made
     #[arg(long, default_value = "target/realo/frames")]
     cache: PathBuf,
-    /// Go on from the checkpoint in the folder of the results
+    /// Go on from the checkpoint in the folder of the results; a recipe always does
     #[arg(long)]
     resume: bool,
     /// Steps in all; the learning rate falls until then [default: 20000, or what fits into --minutes]
     #[arg(long)]
     steps: Option<u64>,
-    /// Fit the steps into so many minutes and validate at the end; with --steps: stop then, to be resumed
+    /// Fit the steps into so many minutes and validate at the end; with --steps, or of a recipe: stop then, to be resumed
     #[arg(long)]
     minutes: Option<f64>,
     /// Frames of logs instead of simulator seeds
     #[arg(long, conflicts_with_all = ["seeds", "per_seed"])]
     log: Vec<PathBuf>,
-    /// Seconds from one frame of a log to the next, at least
-    #[arg(long, default_value_t = FRAMES_APART)]
-    apart: f64,
-    /// Longest gap between an agent's poses in a log that is bridged, ms, as `max_gap_ms` of the operator `sync`
-    #[arg(long, default_value_t = MAX_GAP_MS)]
-    max_gap_ms: u32,
+    /// Seconds from one frame of a log to the next, at least [default: 1]
+    #[arg(long)]
+    apart: Option<f64>,
+    /// Longest gap between an agent's poses in a log that is bridged, ms [default: as `max_gap_ms` of the operator `sync`]
+    #[arg(long)]
+    max_gap_ms: Option<u32>,
     /// Score on up to 24 frames of these logs [default: of --log, else of simulator seeds 800 to 811]
     #[arg(long)]
     validation_log: Vec<PathBuf>,
-    /// Simulator seeds, first..end; 0 to 799 are for training
-    #[arg(long, default_value = "0..800", value_parser = seeds)]
-    seeds: Range<u64>,
-    /// Frames of a seed, at least a second apart
-    #[arg(long, default_value_t = 3)]
-    per_seed: usize,
-    /// Samples of a step
-    #[arg(long, default_value_t = 2)]
-    batch: usize,
-    /// Seed of all draws
-    #[arg(long, default_value_t = 0)]
-    seed: u64,
+    /// Simulator seeds, first..end; 0 to 799 are for training [default: 0..800]
+    #[arg(long, value_parser = seeds)]
+    seeds: Option<Range<u64>>,
+    /// Frames of a seed, at least a second apart [default: 3]
+    #[arg(long)]
+    per_seed: Option<usize>,
+    /// Samples of a step [default: 2]
+    #[arg(long)]
+    batch: Option<usize>,
+    /// Seed of all draws [default: 0]
+    #[arg(long)]
+    seed: Option<u64>,
     /// Max learning rate [default: 2e-3; 5e-4 for a detector that begins with --from]
     #[arg(long)]
     rate: Option<f64>,
@@ -74,9 +83,9 @@ pub struct Args {
     #[arg(long, requires = "from", value_name = "BOOL", num_args = 0..=1, require_equals = true, default_missing_value = "true")]
     frozen_norms: Option<bool>,
     /// Probability that a step sees parts of the range, of the first two thirds of the steps: squares turned by any angle, at two
-    /// fifths of the cost
-    #[arg(long, default_value_t = 0.75)]
-    parts: f64,
+    /// fifths of the cost [default: 0.75]
+    #[arg(long)]
+    parts: Option<f64>,
     /// Steps from one validation to the next
     #[arg(long)]
     validate_every: Option<u64>,
@@ -91,12 +100,6 @@ pub struct Args {
     arithmetic: Option<Arithmetic>,
 }
 
-/// Steps where neither they nor a time is given.
-const STEPS: u64 = 20_000;
-/// Max learning rate from random numbers, and of a fusion behind an encoder.
-const RATE: f64 = 2e-3;
-/// Max learning rate of a network that begins with good weights: a few steps at the other one ruin them.
-const TUNING_RATE: f64 = 5e-4;
 /// Mean AP that is lost in silence, for it is not shown.
 const ROUNDING: f64 = 5e-4;
 
@@ -104,26 +107,19 @@ const ROUNDING: f64 = 5e-4;
 pub fn main(args: &Args) -> Result<Outcome> {
     // A training ends itself after its step.
     signals::catch(|| ())?;
+    if recipe::is_recipe(&args.model) {
+        return recipe::main(args);
+    }
+    ensure!(
+        !args.plan && !args.install,
+        "--plan and --install are of recipes, as models/lite.recipe.toml"
+    );
     let progress = Progress::new("preparing to train", "", None);
-    let mut begun = false;
     let options = args.options()?;
+    let mut watch = Watch::new("training");
     let trained = train_with(&options, |news| {
-        match news {
-            News::LeftOut(left_out) => progress.beside(|| print_left_out(left_out)),
-            News::Before(before) => progress.beside(|| println!("{}", opening(before))),
-            News::Step(far) => {
-                if !std::mem::replace(&mut begun, true) {
-                    signals::begin();
-                    progress.rename("training", "steps");
-                    progress.begin(far.point.step as f64, far.steps as f64);
-                }
-                show(&progress, far);
-            }
-        }
-        match signals::first() {
-            Some(_) => ControlFlow::Break(()),
-            None => ControlFlow::Continue(()),
-        }
+        watch.hear(&progress, news);
+        ending()
     })?;
     progress.finish();
     print!("{}", summary(&trained, args.log.is_empty()));
@@ -135,6 +131,44 @@ pub fn main(args: &Args) -> Result<Outcome> {
         }
         (false, None) => Outcome::Partial,
     })
+}
+
+/// Whether a signal asked for the end.
+fn ending() -> ControlFlow<()> {
+    match signals::first() {
+        Some(_) => ControlFlow::Break(()),
+        None => ControlFlow::Continue(()),
+    }
+}
+
+/// Shows what a training says.
+struct Watch {
+    what: String,
+    begun: bool,
+}
+
+impl Watch {
+    fn new(what: &str) -> Self {
+        Watch {
+            what: what.into(),
+            begun: false,
+        }
+    }
+
+    fn hear(&mut self, progress: &Progress, news: &News) {
+        match news {
+            News::LeftOut(left_out) => progress.beside(|| print_left_out(left_out)),
+            News::Before(before) => progress.beside(|| println!("{}", opening(before))),
+            News::Step(far) => {
+                if !std::mem::replace(&mut self.begun, true) {
+                    signals::begin();
+                    progress.rename(self.what.clone(), "steps");
+                    progress.begin(far.point.step as f64, far.steps as f64);
+                }
+                show(progress, far);
+            }
+        }
+    }
 }
 
 /// Says what of logs is not learnt from.
@@ -229,65 +263,52 @@ fn change(comparison: &Comparison) -> Option<String> {
 
 impl Args {
     fn options(&self) -> Result<TrainOptions> {
-        let file = find_model(&self.model)?;
         let from = self.from.as_deref().map(find_model).transpose()?;
-        let model = Model::read(&file)?;
-        // What is behind another file's encoder begins with random numbers.
-        let is_tuned = from.is_some() && model.encoder.is_none();
         let logged = |logs: &[PathBuf]| LoggedData {
             logs: logs.to_vec(),
-            apart: self.apart,
-            max_gap_ms: self.max_gap_ms,
+            apart: self.apart.unwrap_or(FRAMES_APART),
+            max_gap_ms: self.max_gap_ms.unwrap_or(MAX_GAP_MS),
         };
-        let data = if self.log.is_empty() {
-            Data::Simulated {
-                cache: self.cache.clone(),
-                seeds: self.seeds.clone(),
-                per_seed: self.per_seed,
-            }
-        } else {
-            Data::Logged {
-                cache: self.cache.clone(),
+        let cache = self.cache.clone();
+        let data = match self.log.is_empty() {
+            true => Data::Simulated {
+                cache,
+                seeds: self.seeds.clone().unwrap_or(SEEDS),
+                per_seed: self.per_seed.unwrap_or(PER_SEED),
+            },
+            false => Data::Logged {
+                cache,
                 logged: logged(&self.log),
-            }
+            },
         };
+        let out = self.out.clone().unwrap_or_else(|| "target/realo/training".into());
+        let usual = TrainOptions::new(find_model(&self.model)?, from, out, data)?;
+        let mut optimizer = usual.optimizer;
+        optimizer.rate = self.rate.unwrap_or(optimizer.rate);
         Ok(TrainOptions {
-            model: file,
-            from,
-            output: self.out.clone(),
             resume: self.resume,
-            data,
-            steps: self.steps.unwrap_or(STEPS),
+            steps: self.steps.unwrap_or(usual.steps),
             minutes: self.minutes,
             fit_steps: self.steps.is_none() && self.minutes.is_some(),
-            seed: self.seed,
-            batch: self.batch,
-            parts: self.parts,
+            seed: self.seed.unwrap_or(usual.seed),
+            batch: self.batch.unwrap_or(usual.batch),
+            parts: self.parts.unwrap_or(usual.parts),
             freeze: self.freeze.clone(),
-            frozen_norms: self.frozen_norms.unwrap_or(is_tuned),
+            frozen_norms: self.frozen_norms.unwrap_or(usual.frozen_norms),
             checkpoint_minutes: self.checkpoint_minutes,
             validate_every: self.validate_every,
-            compare: true,
             validation: (!self.validation_log.is_empty()).then(|| logged(&self.validation_log)),
-            optimizer: OptimizerSettings {
-                rate: self.rate.unwrap_or(if is_tuned { TUNING_RATE } else { RATE }),
-                ..OptimizerSettings::default()
-            },
-            augmentation: Augmentation::of(&model),
+            optimizer,
             threads: self.threads,
             arithmetic: self.arithmetic,
+            ..usual
         })
     }
 }
 
+/// Seeds as `first..end`.
 pub(crate) fn seeds(text: &str) -> Result<Range<u64>> {
-    let parts = text
-        .split_once("..")
-        .and_then(|(a, b)| Some(a.parse().ok()?..b.parse().ok()?));
-    match parts {
-        Some(seeds) if !seeds.is_empty() => Ok(seeds),
-        _ => bail!("expected first..end, as 0..800, found `{text}`"),
-    }
+    seeds_of(text).ok_or_else(|| eyre!("expected first..end, as 0..800, found `{text}`"))
 }
 
 fn show(progress: &Progress, far: &realo_training::Progress) {
@@ -387,16 +408,13 @@ mod tests {
             let options = cli.args.options().unwrap();
             (options.frozen_norms, options.optimizer.rate)
         };
-        assert_eq!(options(&[]), (false, RATE));
-        assert_eq!(options(&["lite", "--from", "lite"]), (true, TUNING_RATE));
+        assert_eq!(options(&[]), (false, 2e-3));
+        assert_eq!(options(&["lite", "--from", "lite"]), (true, 5e-4));
         let asked = ["lite", "--from", "lite", "--frozen-norms=false", "--rate", "1e-3"];
         assert_eq!(options(&asked), (false, 1e-3));
-        assert_eq!(
-            options(&["lite", "--from", "lite", "--frozen-norms"]),
-            (true, TUNING_RATE)
-        );
+        assert_eq!(options(&["lite", "--from", "lite", "--frozen-norms"]), (true, 5e-4));
         // The fusion begins with random numbers.
-        assert_eq!(options(&["lite-v2xvit", "--from", "lite"]), (false, RATE));
+        assert_eq!(options(&["lite-v2xvit", "--from", "lite"]), (false, 2e-3));
     }
 
     #[test]

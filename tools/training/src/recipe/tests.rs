@@ -1,0 +1,183 @@
+use std::fs;
+use std::ops::ControlFlow;
+use std::sync::OnceLock;
+
+use super::*;
+
+const SMALL: &str = include_str!("../../tests/small.toml");
+
+const THREE: &str = r#"
+[[stage]]
+name = "first"
+model = "small.toml"
+steps = 3
+per_seed = 1
+seeds = "0..2"
+
+[[stage]]
+name = "second"
+model = "small.toml"
+from = "first"
+steps = 2
+per_seed = 1
+seeds = "0..2"
+freeze = ["encoder"]
+
+[[stage]]
+name = "both"
+model = "small.toml"
+mean = ["first", "second"]
+card = { about = "A small detector." }
+"#;
+
+fn folder(recipe: &str) -> (tempfile::TempDir, PathBuf) {
+    let folder = tempfile::tempdir().unwrap();
+    fs::write(folder.path().join("small.toml"), SMALL).unwrap();
+    let file = folder.path().join("small.recipe.toml");
+    fs::write(&file, recipe).unwrap();
+    (folder, file)
+}
+
+fn how(folder: &Path) -> How {
+    // Frames that all tests share.
+    static CACHE: OnceLock<tempfile::TempDir> = OnceLock::new();
+    let cache = CACHE.get_or_init(|| tempfile::tempdir().unwrap());
+    How {
+        out: folder.join("out"),
+        cache: cache.path().into(),
+        minutes: None,
+        checkpoint_minutes: 0.0,
+        threads: Some(2),
+        arithmetic: None,
+    }
+}
+
+fn numbers(made: &Made) -> Vec<f32> {
+    let loaded = realo_methods::load(&made.file, realo_methods::Kernels::auto(1)).unwrap();
+    let layers = realo_nn::layers::Layers::of(&loaded.model);
+    let keys = layers.tensors().map(|spec| spec.key);
+    keys.flat_map(|key| loaded.weights.find(&key).unwrap().to_vec())
+        .collect()
+}
+
+#[test]
+fn stages_are_made_once_and_a_recipe_that_was_stopped_goes_on() {
+    let (folder, file) = folder(THREE);
+    let (recipe, how) = (Recipe::read(&file).unwrap(), how(folder.path()));
+    let planned = plan(&recipe, &how).unwrap();
+    assert_eq!(
+        planned
+            .iter()
+            .map(|stage| (stage.steps, stage.done))
+            .collect::<Vec<_>>(),
+        [(3, 0), (2, 0)]
+    );
+    assert!(planned.iter().all(|stage| stage.pace > 0.0));
+    assert!(!how.out.join("pilot").exists());
+
+    let mut steps = 0;
+    let stopped = make(&recipe, &how, &mut |news| {
+        steps += usize::from(matches!(news, RecipeNews::Training(crate::News::Step(_))));
+        if steps == 2 {
+            ControlFlow::Break(())
+        } else {
+            ControlFlow::Continue(())
+        }
+    });
+    assert_eq!((stopped.unwrap(), steps), (None, 2));
+    assert_eq!(plan(&recipe, &how).unwrap()[0].done, 2);
+
+    let mut begun = Vec::new();
+    let made = make(&recipe, &how, &mut |news| {
+        if let RecipeNews::Begins { stage, .. } = news {
+            begun.push(stage.name.clone());
+        }
+        ControlFlow::Continue(())
+    });
+    let made = made.unwrap().unwrap();
+    assert_eq!(begun, ["first", "second", "both"]);
+    let [first, second, both] = [0, 1, 2].map(|index| numbers(&made[index]));
+    assert!(first != second);
+    for ((a, b), mean) in first.iter().zip(&second).zip(&both) {
+        assert!(
+            ((a + b) / 2.0 - mean).abs() <= 1e-6 * mean.abs().max(1e-3),
+            "{a} {b} {mean}"
+        );
+    }
+
+    let again = make(&recipe, &how, &mut |news| {
+        assert!(matches!(news, RecipeNews::There(_)), "{news:?}");
+        ControlFlow::Continue(())
+    });
+    assert_eq!(again.unwrap().unwrap(), made);
+}
+
+#[test]
+fn a_stage_that_was_made_otherwise_is_named_with_what_differs() {
+    let (folder, file) = folder(THREE);
+    let how = how(folder.path());
+    let mut go_on = |_: &RecipeNews| ControlFlow::Continue(());
+    make(&Recipe::read(&file).unwrap(), &how, &mut go_on).unwrap();
+    let changed = THREE
+        .replacen("steps = 2", "steps = 4", 1)
+        .replace("A small", "Another");
+    fs::write(&file, &changed).unwrap();
+    let error = make(&Recipe::read(&file).unwrap(), &how, &mut go_on)
+        .unwrap_err()
+        .to_string();
+    for part in ["stage `second`", "steps: was 2, now 4 is asked for", "out/second"] {
+        assert!(error.contains(part), "{error}");
+    }
+    // The one that it began with is made anew, by other draws.
+    fs::write(&file, THREE.replacen("steps = 3", "steps = 3\nseed = 9", 1)).unwrap();
+    fs::remove_dir_all(how.out.join("first")).unwrap();
+    let error = make(&Recipe::read(&file).unwrap(), &how, &mut go_on)
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("stage `second`") && error.contains("`first` had sha256"),
+        "{error}"
+    );
+}
+
+#[test]
+fn what_a_recipe_gets_wrong_is_named_with_file_stage_and_key() {
+    let refused = |text: &str| {
+        let (_folder, file) = folder(text);
+        Recipe::read(&file).unwrap_err().to_string()
+    };
+    let cases = [
+        (
+            ("name = \"second\"", "name = \"first\""),
+            ["`first`", "name: expected a name of its own"],
+        ),
+        (
+            ("from = \"first\"", "from = \"frist\""),
+            ["stage `second`: from", "before it are first"],
+        ),
+        (
+            ("mean = [\"first\"", "mean = [\"third\""),
+            ["stage `both`: mean", "`third`"],
+        ),
+        (("steps = 2", "step = 2"), ["unknown field `step`", "small.recipe.toml"]),
+        (("steps = 2\n", ""), ["stage `second`: steps", "found neither"]),
+        (
+            ("model = \"small.toml\"", "model = \"smal.toml\""),
+            ["stage `first`: model", "smal.toml"],
+        ),
+        (("freeze = [\"encoder\"]", "freeze = [\"head\"]"), ["freeze", "head"]),
+        (
+            ("seeds = \"0..2\"", "seeds = \"2..0\""),
+            ["expected first..end", "2..0"],
+        ),
+        (
+            ("name = \"first\"", "name = \"a/b\""),
+            ["name: expected letters", "`a/b`"],
+        ),
+    ];
+    for ((was, is), expected) in cases {
+        assert!(THREE.contains(was));
+        let error = refused(&THREE.replacen(was, is, 1));
+        assert!(expected.iter().all(|part| error.contains(part)), "{was}: {error}");
+    }
+}
