@@ -157,6 +157,7 @@ fn it_is_trained_and_the_trained_model_is_loaded() {
     let detector = TrainOptions {
         model: path("small.toml"),
         from: None,
+        teacher: None,
         output: path("detector"),
         resume: false,
         data: Data::Simulated {

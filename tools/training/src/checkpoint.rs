@@ -62,6 +62,9 @@ pub struct TrainingPlan {
     pub data: String,
     /// The weights that it began with, if they were not random.
     pub from: Option<String>,
+    /// Whose maps were examples.
+    #[serde(default)]
+    pub teacher: Option<String>,
 }
 
 impl TrainingPlan {
@@ -234,6 +237,13 @@ impl StateFile<'_> {
 
     fn curve(&self) -> Result<Curve, String> {
         let curve = self.0.tensor("curve").map_err(|error| error.to_string())?;
+        if curve.shape().last() != Some(&Point::NUMBERS) {
+            let found = curve.shape();
+            return Err(format!(
+                "expected `curve` of {} numbers a step, found {found:?}",
+                Point::NUMBERS
+            ));
+        }
         let numbers = curve.data().as_chunks::<8>().0.iter();
         let numbers: Vec<f64> = numbers.map(|bytes| f64::from_le_bytes(*bytes)).collect();
         let points = numbers.as_chunks::<{ Point::NUMBERS }>().0.iter();
@@ -335,6 +345,7 @@ mod tests {
                 augmentation: Augmentation::default(),
                 data: "a test".into(),
                 from: None,
+                teacher: None,
             },
         };
         let folder = tempfile::tempdir().unwrap();

@@ -11,6 +11,8 @@ pub struct Point {
     pub class: f64,
     /// Loss of the boxes.
     pub regression: f64,
+    /// Loss of the lessons of a teacher.
+    pub lesson: f64,
     /// Length of the gradient.
     pub gradient: f64,
     /// Learning rate.
@@ -21,11 +23,11 @@ pub struct Point {
 
 impl Point {
     /// Numbers of a point.
-    pub(crate) const NUMBERS: usize = 6;
+    pub(crate) const NUMBERS: usize = 7;
 
-    /// Both parts of the loss.
+    /// All parts of the loss.
     pub fn loss(&self) -> f64 {
-        self.class + self.regression
+        self.class + self.regression + self.lesson
     }
 
     pub(crate) fn to_numbers(self) -> [f64; Self::NUMBERS] {
@@ -33,17 +35,21 @@ impl Point {
             self.step as f64,
             self.class,
             self.regression,
+            self.lesson,
             self.gradient,
             self.rate,
             self.seconds,
         ]
     }
 
-    pub(crate) fn from_numbers(&[step, class, regression, gradient, rate, seconds]: &[f64; Self::NUMBERS]) -> Self {
+    pub(crate) fn from_numbers(
+        &[step, class, regression, lesson, gradient, rate, seconds]: &[f64; Self::NUMBERS],
+    ) -> Self {
         Point {
             step: step as u64,
             class,
             regression,
+            lesson,
             gradient,
             rate,
             seconds,
@@ -73,14 +79,14 @@ impl Curve {
 
     /// A line for each step, after one with names.
     pub fn to_csv(&self) -> String {
-        let mut text = String::from("step,loss,class_loss,box_loss,gradient_norm,learning_rate,seconds\n");
+        let mut text = String::from("step,loss,class_loss,box_loss,lesson_loss,gradient_norm,learning_rate,seconds\n");
         for p in &self.points {
             let (loss, step) = (p.loss(), p.step);
-            let rest = (p.class, p.regression, p.gradient, p.rate, p.seconds);
-            let (class, regression, gradient, rate, seconds) = rest;
+            let rest = (p.class, p.regression, p.lesson, p.gradient, p.rate, p.seconds);
+            let (class, regression, lesson, gradient, rate, seconds) = rest;
             let _ = writeln!(
                 text,
-                "{step},{loss:.5},{class:.5},{regression:.5},{gradient:.4},{rate:.3e},{seconds:.3}"
+                "{step},{loss:.5},{class:.5},{regression:.5},{lesson:.5},{gradient:.4},{rate:.3e},{seconds:.3}"
             );
         }
         text
@@ -145,6 +151,7 @@ impl Curve {
                 step: points[points.len() / 2].step,
                 class: over(|p| p.class),
                 regression: over(|p| p.regression),
+                lesson: over(|p| p.lesson),
                 gradient: over(|p| p.gradient),
                 rate: over(|p| p.rate),
                 seconds: over(|p| p.seconds),
@@ -180,6 +187,7 @@ mod tests {
                 step,
                 class,
                 regression,
+                lesson: 0.0,
                 gradient: 1.0,
                 rate: 1e-3,
                 seconds: 0.5,
@@ -192,7 +200,7 @@ mod tests {
         assert_eq!(csv.lines().count(), 1001);
         assert_eq!(
             csv.lines().nth(1),
-            Some("0,1.50000,1.00000,0.50000,1.0000,1.000e-3,0.500")
+            Some("0,1.50000,1.00000,0.50000,0.00000,1.0000,1.000e-3,0.500")
         );
         let svg = curve.to_svg();
         assert_eq!(svg.matches("<polyline").count(), 4);

@@ -440,6 +440,7 @@ mod tests {
             pillars: Arc::new(pillars),
             parties: vec![vec![Member::EGO, vehicle, unit], vec![Member::EGO]],
             targets: vec![targets.clone(), targets],
+            lessons: vec![None, None],
         }
     }
 

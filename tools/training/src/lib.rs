@@ -18,6 +18,7 @@ mod random;
 pub mod recipe;
 mod scored;
 pub mod tape;
+mod teacher;
 mod train;
 mod validate;
 mod widen;

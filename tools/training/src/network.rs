@@ -20,6 +20,7 @@ use crate::layers::{
 };
 use crate::random::Stream;
 use crate::tape::Tape;
+use crate::teacher::Lesson;
 
 /// Share of a batch's statistics in the running ones.
 const MOMENTUM: f32 = 0.01;
@@ -60,6 +61,8 @@ pub struct Heads {
     pub scores: Tensor,
     /// Deltas, `[batch, rows + 2, columns + 2, anchors * 7]`.
     pub deltas: Tensor,
+    /// The map that they read.
+    pub(crate) fused: Tensor,
     /// Each batch norm, by its key, with the statistics that it used.
     statistics: Vec<(String, Statistics)>,
 }
@@ -71,6 +74,8 @@ pub type Gradients = Vec<Option<Vec<f32>>>;
 pub struct Pass {
     /// Loss of each sample; the batch's is the sum.
     pub losses: Vec<Loss>,
+    /// Loss of the lessons of the batch, which is added to that.
+    pub lesson: f64,
     /// Gradients of the sum.
     pub gradients: Gradients,
 }
@@ -197,6 +202,7 @@ impl Network {
         let layers = &self.layers;
         let order = layers.between(&[], &[layers.scores, layers.deltas]);
         let mut maps = Maps::of(&order);
+        let mut fused = None;
         let mut learning = HashSet::new();
         for step in order {
             let learns = self.learns(&step.layer);
@@ -216,11 +222,15 @@ impl Network {
                 }
                 Layer::Fuse(layer) => fuse(self, run.tape, layer, &maps.read(step.from[0]), parties)?,
             };
+            if step.to == layers.fused {
+                fused = Some(made.clone());
+            }
             maps.made.insert(step.to, made);
         }
         Ok(Heads {
             scores: maps.read(layers.scores),
             deltas: maps.read(layers.deltas),
+            fused: fused.expect("heads read a map"),
             statistics: run.statistics,
         })
     }
@@ -238,11 +248,17 @@ impl Network {
         let mut tape = Tape::new();
         let heads = self.forward(&mut tape, &batch.pillars, &batch.parties, true)?;
         let (losses, of_scores, of_deltas) = losses(&heads, &batch.targets, settings)?;
-        let results = vec![(heads.scores.id(), of_scores), (heads.deltas.id(), of_deltas)];
+        let mut results = vec![(heads.scores.id(), of_scores), (heads.deltas.id(), of_deltas)];
+        let mut lesson = 0.0;
+        if batch.lessons.iter().any(Option::is_some) {
+            let (loss, of_fused) = lesson_losses(&heads.fused, &batch.lessons)?;
+            lesson = loss;
+            results.push((heads.fused.id(), of_fused));
+        }
         if !self.frozen_norms {
             self.follow(&heads.statistics)?;
         }
-        drop((heads.scores, heads.deltas));
+        drop((heads.scores, heads.deltas, heads.fused));
         let mut gradients = tape.backward(results)?;
         let gradients = self
             .parameters
@@ -250,6 +266,7 @@ impl Network {
             .map(|parameter| self.gradient(&mut gradients, parameter));
         Ok(Pass {
             losses,
+            lesson,
             gradients: gradients.collect::<candle_core::Result<_>>()?,
         })
     }
@@ -478,6 +495,28 @@ fn losses(
         tensor(of_scores, scores.dims())?,
         tensor(of_deltas, deltas.dims())?,
     ))
+}
+
+/// The loss of the lessons of a batch, and its gradient as a map with a border.
+fn lesson_losses(fused: &Tensor, lessons: &[Option<Lesson>]) -> candle_core::Result<(f64, Tensor)> {
+    let shape = MapShape::of(fused.shape())?;
+    if shape.batch != lessons.len() {
+        candle_core::bail!("{} samples have {} lessons", shape.batch, lessons.len());
+    }
+    let mut of_fused = buffer(shape.len());
+    let loss = with_numbers(fused, |numbers| {
+        let images = of_fused.par_chunks_mut(shape.image()).zip(lessons).enumerate();
+        let losses = images.filter_map(|(image, (to, lesson))| {
+            let cells = inner(&shape, numbers, image);
+            let mut gradient = vec![0.0; cells.len()];
+            let loss = lesson.as_ref()?.loss(&cells, shape.batch, &mut gradient);
+            outer(&shape, to, &gradient);
+            Some(loss)
+        });
+        // In order, so that the sum is the same every time.
+        Ok(losses.collect::<Vec<f64>>().iter().sum())
+    })?;
+    Ok((loss, tensor(of_fused, shape.dims())?))
 }
 
 /// A sample's cells without the border.

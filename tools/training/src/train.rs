@@ -34,6 +34,8 @@ pub struct TrainOptions {
     pub model: PathBuf,
     /// The model file with weights to begin with; what they lack, as a fusion or a compressor, begins at random.
     pub from: Option<PathBuf>,
+    /// The model file of a detector whose maps of all points together are an example for the map that the heads read.
+    pub teacher: Option<PathBuf>,
     /// Folder of the results: `checkpoint.safetensors`, the model's files of weights, `curve.csv`, `curve.svg`.
     pub output: PathBuf,
     /// Whether to go on from the checkpoint that is there.
@@ -102,6 +104,7 @@ impl TrainOptions {
         Ok(TrainOptions {
             model,
             from,
+            teacher: None,
             output,
             resume: false,
             data,

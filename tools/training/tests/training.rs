@@ -57,6 +57,7 @@ impl Folder {
         TrainOptions {
             model,
             from: None,
+            teacher: None,
             output: self.path(output),
             resume: false,
             data: Data::Simulated {
@@ -125,6 +126,46 @@ fn frozen_norms_keep_the_statistics_that_they_begin_with() {
     };
     let refused = train(&random, |_| ()).unwrap_err().to_string();
     assert!(refused.contains("frozen_norms"), "{refused}");
+}
+
+#[test]
+fn a_fusion_learns_from_a_teacher_and_a_resumed_one_needs_the_same() {
+    let folder = Folder::new();
+    train(&folder.options("truck", "teacher"), |_| ()).unwrap();
+    let fusing = folder.path("fusing.toml");
+    fs::write(
+        &fusing,
+        "extends = \"small.toml\"\nname = \"fusing\"\n[arch]\nkind = \"attfuse\"\n",
+    )
+    .unwrap();
+    let taught = TrainOptions {
+        model: fusing,
+        teacher: Some(folder.path("teacher/small.toml")),
+        augmentation: Augmentation::of_fusion(),
+        steps: 24,
+        ..folder.options("truck", "taught")
+    };
+    let mut lessons = Vec::new();
+    train(&taught, |far| lessons.push(far.point.lesson)).unwrap();
+    let mean = |all: &[f64]| all.iter().sum::<f64>() / all.len() as f64;
+    assert!(mean(&lessons[16..]) < 0.9 * mean(&lessons[..8]), "{lessons:?}");
+    let without = TrainOptions {
+        teacher: None,
+        resume: true,
+        ..taught.clone()
+    };
+    let error = train(&without, |_| ()).unwrap_err().to_string();
+    assert!(error.contains("teacher: was"), "{error}");
+    let wide = folder.path("wide.toml");
+    fs::write(&wide, MODEL.replace("cell = 0.8", "cell = 0.4")).unwrap();
+    assert!(MODEL.contains("cell = 0.8"));
+    let wrong = TrainOptions {
+        model: wide,
+        output: folder.path("wrong"),
+        ..taught
+    };
+    let error = train(&wrong, |_| ()).unwrap_err().to_string();
+    assert!(error.contains("cell of the map that the heads read"), "{error}");
 }
 
 #[test]

@@ -96,6 +96,7 @@ fn options(cache: &Path, output: PathBuf) -> TrainOptions {
     TrainOptions {
         model: MODEL.into(),
         from: None,
+        teacher: None,
         output,
         resume: false,
         data: Data::Simulated {

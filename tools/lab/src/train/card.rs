@@ -178,7 +178,15 @@ fn way<'a>(all: &'a [Made], last: &'a Made) -> Vec<&'a Made> {
     let mut way = Vec::new();
     for made in all.iter().rev() {
         if needed.contains(made.stage.name.as_str()) {
-            needed.extend(made.stage.from.iter().chain(&made.stage.mean).map(String::as_str));
+            let stage = &made.stage;
+            needed.extend(
+                stage
+                    .from
+                    .iter()
+                    .chain(&stage.teacher)
+                    .chain(&stage.mean)
+                    .map(String::as_str),
+            );
             way.push(made);
         }
     }

@@ -32,6 +32,9 @@ pub struct Args {
     /// Begin with the weights of this model file, or shipped model; what they lack, as a fusion, begins at random
     #[arg(long, value_name = "MODEL")]
     from: Option<PathBuf>,
+    /// Have the map that the heads read be like that which this detector makes of the points of all agents together
+    #[arg(long, value_name = "MODEL")]
+    teacher: Option<PathBuf>,
     /// Folder of the results: checkpoint, weights, curve (CSV and SVG); of a recipe a folder for each stage
     /// [default: target/realo/training, of a recipe target/realo/recipes/NAME]
     #[arg(long)]
@@ -286,6 +289,7 @@ impl Args {
         let mut optimizer = usual.optimizer;
         optimizer.rate = self.rate.unwrap_or(optimizer.rate);
         Ok(TrainOptions {
+            teacher: self.teacher.as_deref().map(find_model).transpose()?,
             resume: self.resume,
             steps: self.steps.unwrap_or(usual.steps),
             minutes: self.minutes,

@@ -65,6 +65,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
 fn refuse_options(args: &Args) -> Result<()> {
     let given = [
         ("--from", args.from.is_some()),
+        ("--teacher", args.teacher.is_some()),
         ("--steps", args.steps.is_some()),
         ("--log", !args.log.is_empty()),
         ("--apart", args.apart.is_some()),

@@ -17,6 +17,7 @@ use crate::TrainError;
 use crate::fusing::fuses;
 use crate::layers::PillarBatch;
 use crate::random::Stream;
+use crate::teacher::{Lesson, Teacher};
 
 /// Batches that wait for the trainer.
 const AHEAD: usize = 3;
@@ -39,6 +40,8 @@ pub struct Batch {
     pub parties: Vec<Vec<Member>>,
     /// What the heads should answer.
     pub targets: Vec<Targets>,
+    /// The maps that those which the heads read should be like, where there is a teacher.
+    pub lessons: Vec<Option<Lesson>>,
 }
 
 /// What batches are made of; a step's batch depends on nothing else.
@@ -62,6 +65,8 @@ pub struct Sampling {
     pub whole_from: u64,
     /// What is pasted into samples.
     pub supply: Arc<Mutex<Supply>>,
+    /// Whose maps are examples.
+    pub teacher: Option<Arc<Teacher>>,
 }
 
 impl Sampling {
@@ -87,16 +92,16 @@ impl Sampling {
             frames.push((frame, Stream::new(self.seed, "sample", number)));
         }
         Ok(match fuses(&self.model) {
-            true => self.of_parties(frames, parts, &mut draws),
-            false => self.of_merged(step, frames, parts),
+            true => self.of_parties(frames, parts, &mut draws)?,
+            false => self.of_merged(step, frames, parts)?,
         })
     }
 
     /// Samples of one cloud each.
-    fn of_merged(&self, step: u64, frames: Vec<(Frame, Stream)>, parts: bool) -> Batch {
+    fn of_merged(&self, step: u64, frames: Vec<(Frame, Stream)>, parts: bool) -> Result<Batch, TrainError> {
         let how = &self.augmentation;
         let decoys = self.supply.lock().unwrap_or_else(PoisonError::into_inner).at(step);
-        let mut samples = Vec::with_capacity(frames.len());
+        let (mut samples, mut lessons) = (Vec::with_capacity(frames.len()), Vec::new());
         let mut model = self.model.clone();
         for (frame, mut draws) in frames {
             let cast = Cast::draw(&frame, how, &mut draws);
@@ -110,15 +115,17 @@ impl Sampling {
             if parts {
                 model = square(&self.model, &change, &mut draws);
             }
+            lessons.push(self.lesson(&scene, &model)?);
             samples.push(scene.sample(&model));
         }
         // All squares have one size, and no more than that is asked of the last one here.
         let (pillars, targets) = gather(&model, samples);
-        Batch {
+        Ok(Batch {
             pillars,
             parties: vec![vec![Member::EGO]; targets.len()],
             targets,
-        }
+            lessons,
+        })
     }
 
     /// How a sample is changed: what is seen on squares is turned by any angle.
@@ -130,13 +137,13 @@ impl Sampling {
 
     /// Samples of several agents, whose maps are fused. On parts of the range all maps are of the ego's part, which only senders can
     /// bring their points to.
-    fn of_parties(&self, frames: Vec<(Frame, Stream)>, parts: bool, of_step: &mut Stream) -> Batch {
+    fn of_parties(&self, frames: Vec<(Frame, Stream)>, parts: bool, of_step: &mut Stream) -> Result<Batch, TrainError> {
         let how = &self.augmentation;
         let project = match parts || of_step.chance(BY_SENDER) {
             true => Project::Sender,
             false => Project::Receiver,
         };
-        let (mut pillars, mut parties, mut targets) = (Vec::new(), Vec::new(), Vec::new());
+        let (mut pillars, mut parties, mut targets, mut lessons) = (Vec::new(), Vec::new(), Vec::new(), Vec::new());
         let mut model = self.model.clone();
         for (frame, mut draws) in frames {
             let party = Party::draw(&frame, &self.model, project, how, &mut draws);
@@ -150,13 +157,24 @@ impl Sampling {
             pillars.extend(looks.iter().map(|look| look.scene.pillars(&model)));
             parties.push(looks.iter().map(|look| look.member).collect());
             targets.push(view.scene.targets(&model));
+            // Points of before are not where things are.
+            lessons.push(match view.is_of_now() {
+                true => self.lesson(&view.scene, &model)?,
+                false => None,
+            });
         }
         // All squares have one size, and no more than that is asked of the last one here.
-        Batch {
+        Ok(Batch {
             pillars: Arc::new(PillarBatch::new(&model.grid, &model.pillars, pillars)),
             parties,
             targets,
-        }
+            lessons,
+        })
+    }
+
+    fn lesson(&self, scene: &Scene, model: &Model) -> Result<Option<Lesson>, TrainError> {
+        let teacher = self.teacher.as_ref();
+        teacher.map(|teacher| teacher.lesson(scene, &model.grid)).transpose()
     }
 
     /// Batches from a step on, made by one thread; it ends with the receiver.
@@ -265,6 +283,7 @@ mod tests {
             parts: 0.5,
             whole_from: u64::MAX,
             supply: Arc::default(),
+            teacher: None,
         }
     }
 

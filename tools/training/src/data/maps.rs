@@ -170,6 +170,11 @@ impl View {
         }
     }
 
+    /// Whether all sweeps are of one instant.
+    pub fn is_of_now(&self) -> bool {
+        self.places.iter().all(|place| place.delay == 0)
+    }
+
     /// What each agent's map is made of, the ego's first, on the grid of a model.
     pub fn looks(&self, model: &Model) -> Vec<Look> {
         let Grid { x, y, .. } = model.grid;

@@ -122,8 +122,8 @@ impl Augmentation {
     pub fn of_fusion() -> Self {
         Augmentation {
             roadside_ego: 0.2,
-            alone: 0.15,
-            everybody: 0.35,
+            alone: 0.1,
+            everybody: 0.25,
             decoys: 0,
             ..Augmentation::default()
         }

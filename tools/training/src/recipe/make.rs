@@ -268,7 +268,14 @@ fn train(
 ) -> Result<Option<Made>, TrainError> {
     let from = stage.from.as_deref().map(|from| begins_with(recipe, from, made));
     let folder = how.out.join(&stage.name);
-    let options = options(recipe, stage, how, from, folder.clone())?;
+    let teacher = stage
+        .teacher
+        .as_deref()
+        .map(|teacher| begins_with(recipe, teacher, made));
+    let options = TrainOptions {
+        teacher,
+        ..options(recipe, stage, how, from, folder.clone())?
+    };
     // The last step may have been done just before a kill.
     let trained = train_with(&options, |news| observer(&RecipeNews::Training(news.clone())))?;
     if !trained.complete {
@@ -324,7 +331,7 @@ fn record(
         model.weights_beside(file).into_iter().map(sum).collect()
     };
     let mut begun_with = BTreeMap::new();
-    for of in stage.from.iter().chain(&stage.mean) {
+    for of in stage.from.iter().chain(&stage.teacher).chain(&stage.mean) {
         let file = begins_with(recipe, of, made);
         let sums = sums(&file, &Model::read(&file)?)?;
         begun_with.insert(of.clone(), sums.into_values().collect::<Vec<_>>().join(" "));

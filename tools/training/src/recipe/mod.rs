@@ -42,6 +42,9 @@ pub struct Stage {
     /// The stage before, or a model file beside the recipe, with whose weights it begins; random numbers without.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub from: Option<String>,
+    /// The stage before, or a model file beside the recipe, whose maps of all points together are an example.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub teacher: Option<String>,
     /// Stages before whose weights' mean this stage takes, in place of a training.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub mean: Vec<String>,
@@ -264,12 +267,14 @@ impl Recipe {
             true => "no stage is before it".to_string(),
             false => format!("before it are {}", names.iter().copied().collect::<Vec<_>>().join(", ")),
         };
-        if let Some(from) = &stage.from
-            && !names.contains(&**from)
-            && !self.beside(Path::new(from)).is_file()
-        {
-            let expected = format!("a stage before, or a model file beside the recipe ({})", listed());
-            return Err(refuse("from", expected, format!("`{from}`")));
+        for (field, of) in [("from", &stage.from), ("teacher", &stage.teacher)] {
+            if let Some(of) = of
+                && !names.contains(&**of)
+                && !self.beside(Path::new(of)).is_file()
+            {
+                let expected = format!("a stage before, or a model file beside the recipe ({})", listed());
+                return Err(refuse(field, expected, format!("`{of}`")));
+            }
         }
         if let Some(unknown) = stage.mean.iter().find(|of| !names.contains(&***of)) {
             return Err(refuse(

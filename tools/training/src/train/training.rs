@@ -26,6 +26,7 @@ use crate::network::Network;
 use crate::optimizer::AdamW;
 use crate::random::Stream;
 use crate::scored::{Before, Comparison, Scored};
+use crate::teacher::Teacher;
 use crate::validate::{Validation, decoys, validate, validate_fusion};
 
 /// Simulated frames that are searched for an object of each class before training begins; of logs all are.
@@ -100,7 +101,7 @@ pub(crate) fn check_frames_suit(model: &Model) -> Result<(), TrainError> {
 }
 
 /// What must not change between the parts of a training.
-fn plan(options: &TrainOptions, model: &Model, data: &str, from: Option<String>) -> TrainingPlan {
+fn plan(options: &TrainOptions, model: &Model, data: &str, [from, teacher]: [Option<String>; 2]) -> TrainingPlan {
     TrainingPlan {
         model: model.clone(),
         frozen: Frozen::of(model, &options.freeze),
@@ -113,11 +114,18 @@ fn plan(options: &TrainOptions, model: &Model, data: &str, from: Option<String>)
         augmentation: options.augmentation.clone(),
         data: data.into(),
         from,
+        teacher,
     }
 }
 
 /// What batches are made of; every frame is used as often as the others.
-fn sampling(options: &TrainOptions, model: &Model, frames: &Arc<dyn Frames>, supply: Supply) -> Sampling {
+fn sampling(
+    options: &TrainOptions,
+    model: &Model,
+    frames: &Arc<dyn Frames>,
+    supply: Supply,
+    teacher: Option<Arc<Teacher>>,
+) -> Sampling {
     let samples = options.steps * options.batch as u64;
     Sampling {
         frames: frames.clone(),
@@ -129,6 +137,7 @@ fn sampling(options: &TrainOptions, model: &Model, frames: &Arc<dyn Frames>, sup
         parts: options.parts,
         whole_from: options.steps - options.steps / WHOLE,
         supply: Arc::new(Mutex::new(supply)),
+        teacher,
     }
 }
 
@@ -150,13 +159,16 @@ impl<'a> Training<'a> {
         let validation = Scored::of(options, &source.frames)?;
         say_left_out(&source.frames, &validation, observer);
         let from = start.as_ref().map(|start| start.identity.clone());
-        let plan = plan(options, &model, &source.name, from);
+        let teacher = options.teacher.as_deref().map(|file| Teacher::of(file, &model));
+        let teacher = teacher.transpose()?.map(Arc::new);
+        let taught_by = teacher.as_ref().map(|teacher| teacher.identity().to_string());
+        let plan = plan(options, &model, &source.name, [from, taught_by]);
         let lock = lock(&options.output)?;
         let weights = start.as_ref().map(|start| &*start.weights);
         let mut state = state(options, &model, weights, plan, &checkpoint)?;
         state.network.arithmetic = options.arithmetic.unwrap_or_else(Arithmetic::fastest);
         state.network.frozen_norms = options.frozen_norms;
-        let sampling = sampling(options, &model, &source.frames, state.supply.clone());
+        let sampling = sampling(options, &model, &source.frames, state.supply.clone(), teacher);
         let mut filling = Filling::default();
         filling
             .threads
@@ -355,7 +367,7 @@ impl<'a> Training<'a> {
         let pass = network.pass(batch, &weights)?;
         let class = pass.losses.iter().map(|loss| loss.class).sum::<f64>();
         let regression = pass.losses.iter().map(|loss| loss.regression).sum::<f64>();
-        if !(class + regression).is_finite() {
+        if !(class + regression + pass.lesson).is_finite() {
             return Err(TrainError::Diverged {
                 step,
                 loss: class + regression,
@@ -373,6 +385,7 @@ impl<'a> Training<'a> {
             step,
             class,
             regression,
+            lesson: pass.lesson,
             gradient,
             rate,
             seconds: start.elapsed().as_secs_f64(),
