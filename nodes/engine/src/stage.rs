@@ -104,6 +104,35 @@ impl Called {
         }
     }
 
+    /// The same once more; `None` of a call after which the stage is gone.
+    pub fn copy(&self) -> Option<Called> {
+        self.copy_with(|_, message| message.clone())
+    }
+
+    /// The same with other messages in the place of those that were sent.
+    pub fn copy_with(&self, kept: impl Fn(PortId, &Message) -> Message) -> Option<Called> {
+        let sent = self.made.sent.iter().map(|(port, message)| (*port, kept(*port, message)));
+        self.gone.is_none().then(|| Called {
+            made: Made {
+                sent: sent.collect(),
+                wakes: self.made.wakes.clone(),
+                counts: self.made.counts.clone(),
+                explained: self.made.explained.clone(),
+                fates: self.made.fates.clone(),
+                traffic: self.made.traffic.clone(),
+                steps: self.made.steps.clone(),
+            },
+            errors: self.errors.clone(),
+            other_errors: self.other_errors,
+            gone: None,
+        })
+    }
+
+    /// The messages that were sent.
+    pub fn sent(&self) -> impl Iterator<Item = &(PortId, Message)> {
+        self.made.sent.iter()
+    }
+
     /// What is charged for the call: what triggered it, and which outputs it sent on.
     pub fn trigger(&self, cause: &str, registration: &Registration) -> String {
         let ports: BTreeSet<PortId> = self.made.sent.iter().map(|(port, _)| *port).collect();

@@ -6,11 +6,13 @@ pub mod dora;
 mod profile;
 mod program;
 mod reorder;
+mod shared;
 mod stages;
 mod time;
 pub mod virtual_time;
 
 pub use profile::ComputeProfile;
 pub use program::{Child, Guard, Program, interpreter, python};
+pub use shared::{Outline, Shared, Sharing};
 pub use stages::{BuildError, Stages};
 pub use time::wall_now;

@@ -107,18 +107,36 @@ impl Stages {
     /// # Errors
     /// The first that cannot be built.
     pub fn build(&self) -> Result<Vec<Built>, BuildError> {
-        let stages = self.wiring.stages.iter().zip(&self.recipes);
-        let built = stages.map(|(stage, recipe)| {
-            let built = match &recipe.program {
-                None => (stage.registration.build)(&recipe.args).map_err(|error| error.to_string()),
-                Some(program) => program.start().map(|child| Built::Operator(Box::new(child))),
-            };
-            built.map_err(|reason| BuildError {
-                node: stage.id.to_string(),
-                reason,
-            })
-        });
-        built.collect()
+        (0..self.recipes.len()).map(|index| self.build_one(index)).collect()
+    }
+
+    fn build_one(&self, index: usize) -> Result<Built, BuildError> {
+        let (stage, recipe) = (&self.wiring.stages[index], &self.recipes[index]);
+        let built = match &recipe.program {
+            None => (stage.registration.build)(&recipe.args).map_err(|error| error.to_string()),
+            Some(program) => program.start().map(|child| Built::Operator(Box::new(child))),
+        };
+        built.map_err(|reason| BuildError {
+            node: stage.id.to_string(),
+            reason,
+        })
+    }
+
+    /// Builds the stages that are wanted, by their indices.
+    ///
+    /// # Errors
+    /// The first that cannot be built.
+    pub(crate) fn build_where(&self, is_wanted: impl Fn(usize) -> bool) -> Result<Vec<Option<Built>>, BuildError> {
+        let stages = 0..self.recipes.len();
+        stages
+            .map(|index| is_wanted(index).then(|| self.build_one(index)).transpose())
+            .collect()
+    }
+
+    /// The arguments of a stage; `None` of a plug-in.
+    pub(crate) fn arguments(&self, index: usize) -> Option<&[String]> {
+        let recipe = &self.recipes[index];
+        recipe.program.is_none().then_some(&recipe.args)
     }
 
     /// Required inputs that nothing feeds.

@@ -9,11 +9,12 @@ use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use realo_engine::{Engine, EngineError, Leaving, Servers, Step, Task, Wired};
-use realo_operator::{Books, Built, Outputs, Role};
+use realo_operator::{Books, Built, Counts, Outputs, Role};
 use realo_schemas::{Message, Nanos};
 use rustix::time::{ClockId, clock_gettime};
 
-use crate::{BuildError, ComputeProfile, Stages};
+use crate::shared::{Recorder, Serving, mark_of};
+use crate::{BuildError, ComputeProfile, Outline, Shared, Stages};
 
 /// Why a run in virtual time failed.
 #[derive(Debug, thiserror::Error)]
@@ -27,6 +28,15 @@ pub enum RunError {
     /// [`end_all`].
     #[error("ended before the end of the log")]
     Ended,
+    /// A call that another run made does not fit.
+    #[error(
+        "node `{node}`: it was not called as in the run that it shares its calls with; this is a fault of realo: run again without \
+         sharing"
+    )]
+    Diverged {
+        /// Its id.
+        node: String,
+    },
     /// A stage needs the world outside.
     #[error(
         "node `{node}`: {name} exists in realtime only: run the graph with --mode realtime, or put a link in its place"
@@ -74,7 +84,7 @@ pub enum Progress {
 /// # Errors
 /// [`RunError`] names the stage that could not be built or go on.
 pub fn run(stages: &Stages, compute: &ComputeProfile, observer: Option<Observer>) -> Result<Books, RunError> {
-    simulate(stages, Some(compute), observer, |_| {})
+    simulate(stages, Some(compute), observer, None, |_| {})
 }
 
 /// As [`run`]; calls `watch` before each event, and before the results are written.
@@ -87,7 +97,20 @@ pub fn run_watched(
     observer: Option<Observer>,
     watch: impl FnMut(Progress),
 ) -> Result<Books, RunError> {
-    simulate(stages, Some(compute), observer, watch)
+    simulate(stages, Some(compute), observer, None, watch)
+}
+
+/// As [`run_watched`], with calls in common with other runs; gives the same to the bit.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_shared(
+    stages: &Stages,
+    compute: &ComputeProfile,
+    shared: (&Shared, &Outline),
+    watch: impl FnMut(Progress),
+) -> Result<Books, RunError> {
+    simulate(stages, Some(compute), None, Some(shared), watch)
 }
 
 /// As [`run`], but a call takes in virtual time what it takes on this machine, on which the calls are made one by one. What
@@ -96,7 +119,7 @@ pub fn run_watched(
 /// # Errors
 /// As [`run`].
 pub fn measure(stages: &Stages, observer: Option<Observer>) -> Result<Books, RunError> {
-    simulate(stages, None, observer, |_| {})
+    simulate(stages, None, observer, None, |_| {})
 }
 
 /// What the calls of a graph took on this machine over some frames.
@@ -134,7 +157,7 @@ pub fn pace(
         }
     });
     let compute = ComputeProfile::default();
-    let mut simulation = Simulation::begin(stages, Some(&compute), Some(observer))?;
+    let mut simulation = Simulation::begin(stages, Some(&compute), Some(observer), None)?;
     let started = Instant::now();
     let (mut known, mut begun, mut found) = (0, None, None);
     while let Some(now) = simulation.due()? {
@@ -185,19 +208,30 @@ fn simulate(
     stages: &Stages,
     compute: Option<&ComputeProfile>,
     observer: Option<Observer>,
+    shared: Option<(&Shared, &Outline)>,
     mut watch: impl FnMut(Progress),
 ) -> Result<Books, RunError> {
-    let mut simulation = Simulation::begin(stages, compute, observer)?;
-    while let Some(now) = simulation.due()? {
-        watch(Progress::At(now));
-        simulation.step(now, &mut watch)?;
+    let mut simulation = Simulation::begin(stages, compute, observer, shared)?;
+    let mut play = || -> Result<(), RunError> {
+        while let Some(now) = simulation.due()? {
+            watch(Progress::At(now));
+            simulation.step(now, &mut watch)?;
+        }
+        Ok(())
+    };
+    let played = play();
+    if let Some((shared, outline)) = shared {
+        shared.end(outline, std::mem::take(&mut simulation.serving), played.is_ok());
     }
-    Ok(simulation.engine.books())
+    played.map(|()| simulation.engine.books())
 }
 
 struct Simulation<'a> {
     engine: Engine,
-    built: Vec<Built>,
+    /// A stage whose calls another run made is not built.
+    built: Vec<Option<Built>>,
+    serving: Vec<Serving>,
+    shared: Option<&'a Shared>,
     /// `None`: as measured.
     compute: Option<&'a ComputeProfile>,
     observer: Option<Observer<'a>>,
@@ -215,6 +249,7 @@ impl<'a> Simulation<'a> {
         stages: &Stages,
         compute: Option<&'a ComputeProfile>,
         observer: Option<Observer<'a>>,
+        shared: Option<(&'a Shared, &Outline)>,
     ) -> Result<Self, RunError> {
         let mut wiring = stages.wiring.clone();
         let is_gateway = |stage: &&Wired| stage.registration.role == Role::Gateway;
@@ -230,9 +265,17 @@ impl<'a> Simulation<'a> {
         if is_ending() {
             return Err(RunError::Ended);
         }
+        let serving: Vec<Serving> = match shared {
+            Some((shared, outline)) => shared.begin(&wiring, outline),
+            None => wiring.stages.iter().map(|_| Serving::Compute).collect(),
+        };
+        let computes = |stage: usize| !matches!(serving[stage], Serving::Repeat(..));
+        let built = stages.build_where(computes)?;
         let mut simulation = Simulation {
             engine: Engine::new(&wiring, Servers::PerStream),
-            built: stages.build()?,
+            built,
+            serving,
+            shared: shared.map(|(shared, _)| shared),
             compute,
             observer,
             now: Nanos::MIN,
@@ -264,7 +307,7 @@ impl<'a> Simulation<'a> {
             .collect()
     }
 
-    fn step(&mut self, now: Nanos, watch: &mut dyn FnMut(Progress)) -> Result<(), EngineError> {
+    fn step(&mut self, now: Nanos, watch: &mut dyn FnMut(Progress)) -> Result<(), RunError> {
         match self.engine.step(now)? {
             Some(Step::Released(stage)) => self.pull(stage, now)?,
             Some(Step::Call(task)) => self.call(task, now, watch)?,
@@ -289,19 +332,27 @@ impl<'a> Simulation<'a> {
         Task { ticket, call, fates }: Task,
         now: Nanos,
         watch: &mut dyn FnMut(Progress),
-    ) -> Result<(), EngineError> {
+    ) -> Result<(), RunError> {
         let registration = self.engine.registration(ticket.stage);
         if !self.concludes && ticket.is_end() && registration.role == Role::Sink {
             self.concludes = true;
             watch(Progress::Concludes);
         }
+        let mark = self.shared.map_or(0, |_| mark_of(ticket.cause, ticket.start, &call));
         let begun = Instant::now();
-        let called = call.make(
-            &mut self.built[ticket.stage],
-            registration,
-            Outputs::at(ticket.start),
-            &fates,
-        );
+        let called = match (&mut self.serving[ticket.stage], &mut self.built[ticket.stage]) {
+            (Serving::Repeat(recording, taken), _) => {
+                *taken += 1;
+                recording.call(*taken - 1, mark)
+            }
+            (_, Some(built)) => Some(call.make(built, registration, Outputs::at(ticket.start), &fates)),
+            (_, None) => None,
+        };
+        let Some(called) = called else {
+            let node = self.engine.id(ticket.stage).to_string();
+            return Err(RunError::Diverged { node });
+        };
+        self.record(ticket.stage, |recorder, shared, stage| recorder.call(shared, stage, mark, &called));
         let measured = Nanos::try_from(begun.elapsed().as_nanos()).unwrap_or(Nanos::MAX);
         self.took[ticket.stage] = self.took[ticket.stage].saturating_add(measured);
         let trigger = called.trigger(ticket.cause, registration);
@@ -316,18 +367,45 @@ impl<'a> Simulation<'a> {
         Ok(())
     }
 
+    /// Records for other runs, where they want it; a stage that cannot be recorded computes in them as well.
+    fn record(&mut self, stage: usize, keep: impl FnOnce(&mut Recorder, &Shared, &str) -> bool) {
+        let (Serving::Record(recorder), Some(shared)) = (&mut self.serving[stage], self.shared) else {
+            return;
+        };
+        if !keep(recorder, shared, self.engine.id(stage))
+            && let Serving::Record(recorder) = std::mem::replace(&mut self.serving[stage], Serving::Compute)
+        {
+            recorder.drop(shared);
+        }
+    }
+
     /// Schedules the next message of a source, or ends it.
     fn pull(&mut self, stage: usize, now: Nanos) -> Result<(), EngineError> {
-        let Built::Source(source) = &mut self.built[stage] else {
-            return Ok(());
+        let (next, counts) = match (&mut self.serving[stage], &mut self.built[stage]) {
+            (Serving::Repeat(recording, taken), _) if self.engine.registration(stage).role == Role::Source => {
+                *taken += 1;
+                (recording.released(*taken - 1), recording.counts())
+            }
+            (_, Some(Built::Source(source))) => {
+                let next = source.next().map_err(|error| EngineError::Failed {
+                    node: self.engine.id(stage).to_string(),
+                    reason: error.to_string(),
+                })?;
+                let counts = if next.is_none() { source.counts() } else { Counts::default() };
+                (next, counts)
+            }
+            _ => return Ok(()),
         };
-        let next = source.next().map_err(|error| EngineError::Failed {
-            node: self.engine.id(stage).to_string(),
-            reason: error.to_string(),
-        })?;
+        self.record(stage, |recorder, shared, stage| match &next {
+            Some(released) => recorder.release(shared, stage, released),
+            None => {
+                recorder.count(counts.clone());
+                true
+            }
+        });
         match next {
             Some((time, port, message)) => self.engine.schedule(stage, time.max(now), port, message),
-            None => self.engine.close_source(stage, source.counts(), now),
+            None => self.engine.close_source(stage, counts, now),
         }
         Ok(())
     }

@@ -2,6 +2,7 @@
 //!
 //! No command is here, and nothing of perception.
 
+pub mod campaign;
 mod choice;
 pub mod demo;
 pub mod find;
