@@ -111,7 +111,11 @@ impl Called {
 
     /// The same with other messages in the place of those that were sent.
     pub fn copy_with(&self, kept: impl Fn(PortId, &Message) -> Message) -> Option<Called> {
-        let sent = self.made.sent.iter().map(|(port, message)| (*port, kept(*port, message)));
+        let sent = self
+            .made
+            .sent
+            .iter()
+            .map(|(port, message)| (*port, kept(*port, message)));
         self.gone.is_none().then(|| Called {
             made: Made {
                 sent: sent.collect(),

@@ -98,7 +98,10 @@ impl Shared {
             });
             let upstream: Option<Vec<String>> = upstream.collect();
             let name = text.zip(upstream).map(|(arguments, upstream)| {
-                format!("{:?}", (&stage.id, stage.registration.name, arguments, upstream, &compute.nanos))
+                format!(
+                    "{:?}",
+                    (&stage.id, stage.registration.name, arguments, upstream, &compute.nanos)
+                )
             });
             let next = store.names.len();
             keys.push(name.map(|name| *store.names.entry(name).or_insert(next)));
@@ -168,7 +171,10 @@ impl Shared {
         }
         let serving: Vec<Serving> = serving.into_iter().flatten().collect();
         let repeated = serving.iter().filter(|one| matches!(one, Serving::Repeat(..))).count();
-        let sinks = wiring.stages.iter().filter(|stage| stage.registration.role == Role::Sink);
+        let sinks = wiring
+            .stages
+            .iter()
+            .filter(|stage| stage.registration.role == Role::Sink);
         store.sharing.repeated += repeated;
         store.sharing.computed += serving.len() - repeated - sinks.count();
         serving

@@ -211,7 +211,15 @@ fn simulate(
     shared: Option<(&Shared, &Outline)>,
     mut watch: impl FnMut(Progress),
 ) -> Result<Books, RunError> {
-    let mut simulation = Simulation::begin(stages, compute, observer, shared)?;
+    let mut simulation = match Simulation::begin(stages, compute, observer, shared) {
+        Ok(simulation) => simulation,
+        Err(error) => {
+            if let Some((shared, outline)) = shared {
+                shared.end(outline, Vec::new(), false);
+            }
+            return Err(error);
+        }
+    };
     let mut play = || -> Result<(), RunError> {
         while let Some(now) = simulation.due()? {
             watch(Progress::At(now));
@@ -352,7 +360,9 @@ impl<'a> Simulation<'a> {
             let node = self.engine.id(ticket.stage).to_string();
             return Err(RunError::Diverged { node });
         };
-        self.record(ticket.stage, |recorder, shared, stage| recorder.call(shared, stage, mark, &called));
+        self.record(ticket.stage, |recorder, shared, stage| {
+            recorder.call(shared, stage, mark, &called)
+        });
         let measured = Nanos::try_from(begun.elapsed().as_nanos()).unwrap_or(Nanos::MAX);
         self.took[ticket.stage] = self.took[ticket.stage].saturating_add(measured);
         let trigger = called.trigger(ticket.cause, registration);
@@ -391,7 +401,11 @@ impl<'a> Simulation<'a> {
                     node: self.engine.id(stage).to_string(),
                     reason: error.to_string(),
                 })?;
-                let counts = if next.is_none() { source.counts() } else { Counts::default() };
+                let counts = if next.is_none() {
+                    source.counts()
+                } else {
+                    Counts::default()
+                };
                 (next, counts)
             }
             _ => return Ok(()),

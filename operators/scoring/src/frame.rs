@@ -260,6 +260,47 @@ pub struct Evaluation {
     pub scenes: Vec<Scene>,
 }
 
+impl Evaluation {
+    /// The same frames in up to so many blocks of neighbouring scored frames, each as if it were a log: for intervals where there
+    /// is one log. Blocks of several egos hold the same frames.
+    pub fn blocks(&self, most: usize) -> Evaluation {
+        let mut keys: Vec<u64> = self
+            .scenes
+            .iter()
+            .flat_map(|scene| scene.frames.iter().filter(|frame| frame.key).map(|frame| frame.seq))
+            .collect();
+        keys.sort_unstable();
+        keys.dedup();
+        let blocks = most.min(keys.len()).max(1);
+        // A frame that is not scored goes with the scored one after it.
+        let block = |frame: &Frame| {
+            let at = keys
+                .partition_point(|key| *key < frame.seq)
+                .min(keys.len().saturating_sub(1));
+            at * blocks / keys.len().max(1)
+        };
+        let split = |scene: &Scene| {
+            let mut parts: BTreeMap<usize, Vec<Frame>> = BTreeMap::new();
+            for frame in &scene.frames {
+                parts.entry(block(frame)).or_default().push(frame.clone());
+            }
+            let part = |(number, frames): (usize, Vec<Frame>)| Scene {
+                name: format!("{}, block {number:03}", scene.name),
+                ego: scene.ego.clone(),
+                frames,
+                ..Scene::default()
+            };
+            parts.into_iter().map(part).collect::<Vec<_>>()
+        };
+        let mut scenes: Vec<Scene> = self.scenes.iter().flat_map(split).collect();
+        scenes.sort_by(|a, b| (&a.name, &a.ego).cmp(&(&b.name, &b.ego)));
+        Evaluation {
+            protocol: self.protocol.clone(),
+            scenes,
+        }
+    }
+}
+
 /// Evaluations that cannot be pooled.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
 pub enum PoolError {

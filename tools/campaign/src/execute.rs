@@ -114,7 +114,10 @@ mod tests {
             let order = order.into_inner().unwrap();
             let at = |item: usize| order.iter().position(|other| *other == item).unwrap();
             assert_eq!((order.len(), failed), (5, vec![(1, "full")]), "{jobs} jobs");
-            assert!(at(0) < at(1) && at(0) < at(2) && at(1) < at(3) && at(2) < at(3), "{order:?}");
+            assert!(
+                at(0) < at(1) && at(0) < at(2) && at(1) < at(3) && at(2) < at(3),
+                "{order:?}"
+            );
         }
     }
 

@@ -257,7 +257,9 @@ fn read<T: DeserializeOwned>(file: &Path) -> Result<T, FolderError> {
     let head: Head = serde_json::from_slice(&text).map_err(|error| foreign(error.to_string()))?;
     if (head.schema.as_str(), head.version) != (SCHEMA, VERSION) {
         let (schema, version) = (head.schema, head.version);
-        return Err(foreign(format!("expected {SCHEMA} version {VERSION}, found {schema} version {version}")));
+        return Err(foreign(format!(
+            "expected {SCHEMA} version {VERSION}, found {schema} version {version}"
+        )));
     }
     serde_json::from_slice(&text).map_err(|error| foreign(error.to_string()))
 }
@@ -310,7 +312,10 @@ mod tests {
         let folder = Folder::open(here.path(), &plan).unwrap();
         let found = done(&folder, &plan);
         assert_eq!((&found[0], &found[2]), (&Earlier::Done(7), &Earlier::None));
-        assert!(matches!(&found[1], Earlier::Changed(part) if part.starts_with("log: ")), "{found:?}");
+        assert!(
+            matches!(&found[1], Earlier::Changed(part) if part.starts_with("log: ")),
+            "{found:?}"
+        );
         folder.begin(&plan.items[0]).unwrap();
         assert_eq!(done(&folder, &plan)[0], Earlier::None, "it runs again");
     }
@@ -319,11 +324,21 @@ mod tests {
     fn a_folder_of_another_plan_is_refused_with_the_value() {
         let here = tempfile::tempdir().unwrap();
         Folder::open(here.path(), &plan("0,50", &["a"])).unwrap();
-        let error = Folder::open(here.path(), &plan("0,60", &["a"])).unwrap_err().to_string();
-        assert!(error.contains("--vary link.delay_ms: `0,60` here, `0,50` there"), "{error}");
+        let error = Folder::open(here.path(), &plan("0,60", &["a"]))
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains("--vary link.delay_ms: `0,60` here, `0,50` there"),
+            "{error}"
+        );
         fs::write(here.path().join(PLAN_FILE), "{\"schema\": \"mine\", \"version\": 3}").unwrap();
-        let error = Folder::open(here.path(), &plan("0,50", &["a"])).unwrap_err().to_string();
-        assert!(error.contains("plan.json") && error.contains("found mine version 3"), "{error}");
+        let error = Folder::open(here.path(), &plan("0,50", &["a"]))
+            .unwrap_err()
+            .to_string();
+        assert!(
+            error.contains("plan.json") && error.contains("found mine version 3"),
+            "{error}"
+        );
         let empty = tempfile::tempdir().unwrap();
         let error = Folder::of_shard(empty.path(), &plan("0", &["a"])).unwrap_err();
         assert!(matches!(error, FolderError::NoPlan { .. }));
@@ -331,21 +346,33 @@ mod tests {
 
     #[test]
     fn shards_come_together_and_one_of_other_logs_is_refused() {
-        let folders = [tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap(), tempfile::tempdir().unwrap()];
+        let folders = [
+            tempfile::tempdir().unwrap(),
+            tempfile::tempdir().unwrap(),
+            tempfile::tempdir().unwrap(),
+        ];
         let plan = plan("0,50", &["a", "b", "c"]);
-        let [here, one, two] = folders.each_ref().map(|folder| Folder::open(folder.path(), &plan).unwrap());
+        let [here, one, two] = folders
+            .each_ref()
+            .map(|folder| Folder::open(folder.path(), &plan).unwrap());
         for (folder, at) in [(&one, 0), (&one, 1), (&two, 2)] {
             let item = &plan.items[at];
             fs::write(folder.begin(item).unwrap().join("result.json"), at.to_string()).unwrap();
             folder.finish(item, &at).unwrap();
         }
-        assert_eq!((here.merge(&one, &plan).unwrap(), here.merge(&one, &plan).unwrap()), (2, 0));
+        assert_eq!(
+            (here.merge(&one, &plan).unwrap(), here.merge(&one, &plan).unwrap()),
+            (2, 0)
+        );
         let mut other = plan.clone();
         other.items[2] = item("c", "another log");
         let error = here.merge(&two, &other).unwrap_err().to_string();
         assert!(error.contains("`c`") && error.contains("log: "), "{error}");
         assert_eq!(here.merge(&two, &plan).unwrap(), 1);
-        assert_eq!(done(&here, &plan), [Earlier::Done(0), Earlier::Done(1), Earlier::Done(2)]);
+        assert_eq!(
+            done(&here, &plan),
+            [Earlier::Done(0), Earlier::Done(1), Earlier::Done(2)]
+        );
         let text = fs::read_to_string(here.of(&plan.items[2]).join("result.json")).unwrap();
         assert_eq!(text, "2");
     }
@@ -360,7 +387,10 @@ mod tests {
         let partial = record.with_extension(format!("json.{}.partial", std::process::id()));
         std::os::unix::fs::symlink("/dev/full", &partial).unwrap();
         let error = folder.finish(&plan.items[0], &1).unwrap_err().to_string();
-        assert!(error.contains("done.json") && error.contains("free some space"), "{error}");
+        assert!(
+            error.contains("done.json") && error.contains("free some space"),
+            "{error}"
+        );
         assert_eq!(done(&folder, &plan), [Earlier::None]);
     }
 }

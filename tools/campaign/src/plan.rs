@@ -96,7 +96,12 @@ impl Plan {
         let keys = |plan: &Plan| plan.items.iter().map(|item| item.key.clone()).collect::<Vec<_>>();
         let (here, there) = (keys(self), keys(other));
         let at = (0..here.len().max(there.len())).find(|at| here.get(*at) != there.get(*at))?;
-        Some(format!("run {}: {} here, {} there", at + 1, shown(here.get(at)), shown(there.get(at))))
+        Some(format!(
+            "run {}: {} here, {} there",
+            at + 1,
+            shown(here.get(at)),
+            shown(there.get(at))
+        ))
     }
 }
 
@@ -146,7 +151,10 @@ pub(crate) mod tests {
         let one = plan("0,50", &["a", "b"]);
         assert_eq!(one.difference(&one.clone()), None);
         let said = |other: &Plan| one.difference(other).unwrap();
-        assert_eq!(said(&plan("0,100", &["a", "b"])), "--vary link.delay_ms: `0,50` here, `0,100` there");
+        assert_eq!(
+            said(&plan("0,100", &["a", "b"])),
+            "--vary link.delay_ms: `0,50` here, `0,100` there"
+        );
         assert_eq!(said(&plan("0,50", &["a"])), "run 2: `b` here, nothing there");
         let mut other = one.clone();
         other.values.insert("--offline".into(), "true".into());

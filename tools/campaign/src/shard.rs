@@ -74,7 +74,10 @@ mod tests {
     fn other_words_are_refused() {
         for text in ["", "3", "0/4", "5/4", "a/b", "1/0", "-1/4", "1/2/3"] {
             let error = text.parse::<Shard>().unwrap_err().to_string();
-            assert!(error.contains("3/16") && error.contains(&format!("`{text}`")), "{error}");
+            assert!(
+                error.contains("3/16") && error.contains(&format!("`{text}`")),
+                "{error}"
+            );
         }
         assert_eq!("3/16".parse::<Shard>().unwrap().to_string(), "3/16");
     }

@@ -62,7 +62,11 @@ impl<'a> Campaign<'a> {
         for shard in &parts.merge {
             let of_shard = Folder::of_shard(shard, plan).wrap_err("--merge")?;
             let taken = folder.merge(&of_shard, plan).wrap_err("--merge")?;
-            say(&format!("{}: {taken} of {} runs taken", shard.display(), plan.items.len()));
+            say(&format!(
+                "{}: {taken} of {} runs taken",
+                shard.display(),
+                plan.items.len()
+            ));
         }
         let shard = parts.shard.unwrap_or_default();
         let (mut done, mut left, mut changed) = (0, Vec::new(), Vec::new());
@@ -81,12 +85,22 @@ impl<'a> Campaign<'a> {
             say(&format!("run again, because something has changed: {}", few(&changed)));
         }
         if !parts.merge.is_empty() && !left.is_empty() {
-            say(&format!("{} runs are in none of these folders; the same command without --merge runs them", left.len()));
+            say(&format!(
+                "{} runs are in none of these folders; the same command without --merge runs them",
+                left.len()
+            ));
             left.clear();
         }
-        let of_shard = if shard.is_all() { String::new() } else { format!(" in shard {shard}") };
+        let of_shard = if shard.is_all() {
+            String::new()
+        } else {
+            format!(" in shard {shard}")
+        };
         let all = shard.items(plan.items.len()).len();
-        say(&format!("{all} runs{of_shard}, {done} done already, {} to run", left.len()));
+        say(&format!(
+            "{all} runs{of_shard}, {done} done already, {} to run",
+            left.len()
+        ));
         Ok(Campaign {
             plan,
             folder,
@@ -98,6 +112,11 @@ impl<'a> Campaign<'a> {
     /// The items that are to run, by their numbers in the plan.
     pub fn left(&self) -> &[usize] {
         &self.left
+    }
+
+    /// How many run at a time.
+    pub fn jobs(&self) -> usize {
+        self.jobs
     }
 
     /// Has them run; `after`: for each the ones that have to end first, by places in [`Campaign::left`]. `work` makes the run of
@@ -126,23 +145,29 @@ impl<'a> Campaign<'a> {
             Ok(self.folder.finish(item, &result)?)
         };
         let mut heard = 0;
-        realo_campaign::execute(&tasks, self.jobs, || signals::first().is_some(), one, |task| {
-            heard += 1;
-            progress.add(1.0);
-            let key = &self.plan.items[tasks[task.task].item].key;
-            match task.result {
-                Ok(()) if heard == 1 => {
-                    progress.beside(|| say(&self.estimate(task.took)));
+        realo_campaign::execute(
+            &tasks,
+            self.jobs,
+            || signals::first().is_some(),
+            one,
+            |task| {
+                heard += 1;
+                progress.add(1.0);
+                let key = &self.plan.items[tasks[task.task].item].key;
+                match task.result {
+                    Ok(()) if heard == 1 => {
+                        progress.beside(|| say(&self.estimate(task.took)));
+                    }
+                    Ok(()) => {}
+                    // It failed because of the signal.
+                    Err(_) if signals::first().is_some() => heard -= 1,
+                    Err(reason) => {
+                        progress.beside(|| say(&format!("failed: {key}: {reason:#}")));
+                        ended.failed.push((key.clone(), reason));
+                    }
                 }
-                Ok(()) => {}
-                // It failed because of the signal.
-                Err(_) if signals::first().is_some() => heard -= 1,
-                Err(reason) => {
-                    progress.beside(|| say(&format!("failed: {key}: {reason:#}")));
-                    ended.failed.push((key.clone(), reason));
-                }
-            }
-        });
+            },
+        );
         progress.finish();
         ended.not_run = tasks.len() - heard;
         ended

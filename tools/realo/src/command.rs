@@ -7,7 +7,7 @@ use realo_operator::Registration;
 
 use crate::{
     compare, doctor, evaluate, host, info, keys, latency, merge, new, operators, precompute, registry, render, run,
-    validate,
+    sweep, validate,
 };
 
 /// What the workbench does, for who asks this program for it.
@@ -38,6 +38,7 @@ struct Cli {
 #[derive(Subcommand)]
 enum Command {
     Run(run::Args),
+    Sweep(sweep::Args),
     Compare(compare::Args),
     Evaluate(evaluate::Args),
     Render(render::Args),
@@ -84,6 +85,7 @@ pub fn main_with(own: &[Registration]) -> ExitCode {
     let cli: Cli = program::parse(&LAB);
     program::end(match cli.command {
         Command::Run(args) => run::main(&args),
+        Command::Sweep(args) => sweep::main(&args),
         Command::Compare(args) => compare::main(&args),
         Command::Evaluate(args) => evaluate::main(&args),
         Command::Render(args) => render::main(&args),

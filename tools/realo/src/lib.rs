@@ -24,6 +24,7 @@ pub mod render;
 mod roles;
 pub mod run;
 mod stages;
+pub mod sweep;
 mod tables;
 mod truth_reader;
 pub mod validate;

@@ -3,12 +3,14 @@
 //!
 //! - [`choose`] finds a frame in the folder of a run, [`choose_all`] the same one in those of several; [`Scene::of`] gathers
 //!   what is to be seen of it, from the run's recording and the log that was played.
+//! - [`Chart`] draws numbers of several runs as curves.
 //! - [`draw()`] makes a [`Drawing`] of a scene, and [`write()`] a file of a drawing: shapes ([`svg()`]) or pixels
 //!   ([`png()`]), by the file's ending; [`beside`] makes one drawing of several.
 //!
 //! Letters are outlines of a font that the crate carries, so that a picture is the same on every machine.
 
 mod beside;
+mod chart;
 mod clouds;
 mod draw;
 mod drawing;
@@ -31,6 +33,7 @@ mod thin;
 mod view;
 
 pub use beside::beside;
+pub use chart::{Chart, Curve, Value};
 pub use draw::draw;
 pub use drawing::{Dots, Drawing, Item, Mark};
 pub use error::RenderError;

@@ -91,6 +91,13 @@ fn as_text(runs: &[(&str, &Run)], options: &Options) -> String {
     }
 }
 
+/// All settings and numbers of runs as columns of a table for programs: the names of the columns, each with its values.
+pub fn fields(runs: &[&Run]) -> Vec<(String, Vec<String>)> {
+    let columns = columns::exact(runs).into_iter();
+    let values = |column: &columns::Column| column.cells.iter().map(columns::Cell::exact).collect();
+    columns.map(|column| (column.field.clone(), values(&column))).collect()
+}
+
 /// Runs with their names as a JSON document: `{"common": {…}, "differences": […], "runs": [{"name", "result", "timing"}]}`, the
 /// last two as in `result.json` and `timing.json`, without the samples; `common` has what all runs were made with, and what all
 /// that have such a thing share; `differences` as [`differences`] says them.

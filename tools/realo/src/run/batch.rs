@@ -104,6 +104,12 @@ impl Batch {
         &self.plans
     }
 
+    /// The runs by themselves, and what could not be played, in words.
+    pub fn into_parts(self) -> (Vec<RunPlan>, Vec<String>) {
+        let failed = self.reasons();
+        (self.plans, failed)
+    }
+
     /// Claims the folders of the runs; with `resume` those stay as they are in which the same run has come to its end.
     ///
     /// # Errors

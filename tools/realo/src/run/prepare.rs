@@ -1,8 +1,10 @@
 //! From options to runs: which graph, log and ego, with which arguments, and where results go.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use eyre::{Report, Result, WrapErr, bail, eyre};
+use realo_cli::campaign::digest;
 use realo_graph::{FlatGraph, Graph, Setting, Severity, normalized};
 use realo_host::ComputeProfile;
 use realo_logs::{LaneStage, Log};
@@ -63,6 +65,31 @@ impl RunPlan {
         &self.run_settings.fingerprint
     }
 
+    /// What its result depends on, by name.
+    pub fn parts(&self) -> Result<BTreeMap<String, String>> {
+        let RunSettings { settings, log_hash, .. } = &self.run_settings;
+        let parts = [
+            ("version", env!("CARGO_PKG_VERSION").to_string()),
+            ("log", log_hash.clone()),
+            ("graph", settings.graph_hash.clone()),
+            ("model", settings.model.clone()),
+            ("kernels", settings.isa.clone()),
+            ("settings", digest(&serde_json::to_string(settings)?)),
+            ("files and settings", self.fingerprint().to_string()),
+        ];
+        Ok(parts.map(|(name, value)| (name.to_string(), value)).into())
+    }
+
+    /// The log's file.
+    pub fn log_path(&self) -> PathBuf {
+        PathBuf::from(&self.run_settings.log)
+    }
+
+    /// The ego.
+    pub fn ego(&self) -> &str {
+        &self.run_settings.settings.ego
+    }
+
     /// Writes what the result reports of the run to where the graph has it.
     pub fn write_settings(&self) -> Result<()> {
         let path = self.out.join(SETTINGS_FILE);
@@ -87,6 +114,14 @@ const OWNED: &[(&str, &str)] = &[
 /// # Errors
 /// Options that no run can follow; logs of which none can be played.
 pub fn batch(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Batch> {
+    batch_with(args, mode, path, name, &mut Networks::default())
+}
+
+/// The same with networks that other batches look at as well.
+///
+/// # Errors
+/// As [`batch`].
+pub fn batch_with(args: &Args, mode: Mode, path: &Path, name: &str, networks: &mut Networks) -> Result<Batch> {
     let mut set = settings(args)?;
     let graph = base_graph(args, &mut set, path)?;
     if mode == Mode::Realtime {
@@ -115,7 +150,7 @@ pub fn batch(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Batch> 
         own,
         set,
         logs,
-        networks: Networks::default(),
+        networks,
         unplayable: Unplayable::default(),
     };
     let mut plans = Vec::new();
@@ -151,7 +186,7 @@ struct Planner<'a> {
     set: Vec<Setting>,
     compute: ComputeProfile,
     logs: Vec<PathBuf>,
-    networks: Networks,
+    networks: &'a mut Networks,
     unplayable: Unplayable,
     /// What results say of the graph.
     described: GraphStages,
@@ -205,7 +240,7 @@ impl Planner<'_> {
         settings.graph_hash = described::hash(&self.described);
         let name = format!("{}, {stem}, {}", self.name, planned.ego);
         let played = fitting_protocols(&graph, log, &planned.ego)
-            .and_then(|()| lane::precomputed(&graph, log, planned, args.offline, &mut self.networks));
+            .and_then(|()| lane::precomputed(&graph, log, planned, args.offline, self.networks));
         let Some(played) = self.unplayable.check(&name, played) else {
             return Ok(None);
         };
@@ -243,7 +278,7 @@ impl Planner<'_> {
     fn checked(&mut self, mut graph: FlatGraph, settings: &Settings) -> Result<FlatGraph> {
         let takes_no_time = self.args.compute.is_none() && settings.precomputed.is_empty();
         if self.mode == Mode::Virtual && takes_no_time {
-            limit::leave_out_too_far(&mut graph, self.args.offline, &mut self.networks)?;
+            limit::leave_out_too_far(&mut graph, self.args.offline, self.networks)?;
         }
         refuse_to_overwrite(&graph, &self.logs)?;
         check(&graph)?;

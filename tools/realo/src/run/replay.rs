@@ -8,7 +8,7 @@ use eyre::{Report, Result, WrapErr, eyre};
 use rayon::prelude::*;
 use realo_cli::{Progress, signals};
 use realo_graph::FlatGraph;
-use realo_host::{ComputeProfile, Stages, virtual_time};
+use realo_host::{ComputeProfile, Outline, Shared, Stages, virtual_time};
 use realo_operator::Books;
 use realo_schemas::{Nanos, to_seconds};
 
@@ -93,6 +93,33 @@ pub fn all(plans: &[&RunPlan]) -> Result<Vec<Result<()>>> {
         .collect())
 }
 
+/// A run of its own, in its folder, with calls in common with other runs.
+///
+/// # Errors
+/// Why it failed.
+pub fn one(plan: &RunPlan, shared: Option<(&Shared, &Outline)>) -> Result<()> {
+    let play = || -> Result<()> {
+        realo_results::claim(&plan.out)?;
+        plan.write_settings()?;
+        watched(&plan.graph, &plan.compute, None, shared, |_| {}).map(drop)
+    };
+    let ended = catch_unwind(AssertUnwindSafe(play)).unwrap_or_else(|_| Err(panicked(&plan.name)));
+    if ended.is_err() {
+        // Partial results must not be taken for a run; the first error is the one that matters.
+        let _ = realo_results::claim(&plan.out);
+    }
+    ended
+}
+
+/// The outline of a run, for sharing.
+///
+/// # Errors
+/// A graph that virtual time cannot run.
+pub fn outline(plan: &RunPlan, shared: &Shared) -> Result<Outline> {
+    let stages = Stages::of(&plan.graph, &registry()).map_err(|error| eyre!(error))?;
+    Ok(shared.outline(&stages, &plan.compute))
+}
+
 /// The error of a run in which the code of a stage panicked.
 fn panicked(name: &str) -> Report {
     eyre!("{name}: a stage panicked; its message is above")
@@ -133,7 +160,7 @@ impl Replay {
             return Err(unfinished());
         }
         let mut far = Far::new(self.seconds, said);
-        let ended = watched(&self.graph, &self.compute, None, |progress| match progress {
+        let ended = watched(&self.graph, &self.compute, None, None, |progress| match progress {
             virtual_time::Progress::At(now) => far.is(now),
             virtual_time::Progress::Concludes => {
                 // After a signal nobody may listen any more.
@@ -195,13 +222,14 @@ impl<'a> Far<'a> {
 /// # Errors
 /// A graph that virtual time cannot run; the node that failed.
 pub fn replay(graph: &FlatGraph, compute: &ComputeProfile, observer: Option<virtual_time::Observer>) -> Result<Books> {
-    watched(graph, compute, observer, |_| {})
+    watched(graph, compute, observer, None, |_| {})
 }
 
 fn watched(
     graph: &FlatGraph,
     compute: &ComputeProfile,
     observer: Option<virtual_time::Observer>,
+    shared: Option<(&Shared, &Outline)>,
     watch: impl FnMut(virtual_time::Progress),
 ) -> Result<Books> {
     let stages = Stages::of(graph, &registry()).map_err(|error| eyre!(error))?;
@@ -213,5 +241,8 @@ fn watched(
             known.join(", ")
         ));
     }
-    Ok(virtual_time::run_watched(&stages, compute, observer, watch)?)
+    Ok(match shared {
+        Some(shared) => virtual_time::run_shared(&stages, compute, shared, watch)?,
+        None => virtual_time::run_watched(&stages, compute, observer, watch)?,
+    })
 }
