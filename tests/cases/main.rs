@@ -13,6 +13,7 @@ mod life;
 mod plugins;
 mod refused;
 mod scene;
+mod sweep;
 mod tables;
 mod values;
 mod writers;

@@ -4,7 +4,7 @@ use std::sync::Mutex;
 
 use realo_graph::Graph;
 use realo_host::virtual_time::{self, RunError};
-use realo_host::{ComputeProfile, Stages};
+use realo_host::{ComputeProfile, Shared, Stages};
 use realo_operator::{
     Books, Counts, Describe, Error, Operator, Outputs, Port, PortError, PortId, Registration, Registry, Settings, Sink,
     Source, StageInputs, StageOutputs,
@@ -389,4 +389,65 @@ nodes:
     assert_eq!(of(&one.0, "lane.inner.echo")[..2], [("a", 0, 81), ("a", 1, 181)]);
     assert_eq!(of(&one.0, "last").len(), 3);
     assert_eq!(one, many);
+}
+
+/// source > echo > delay > notes, in which only the delay differs from run to run.
+fn late_delay(agents: &str, delay: &str) -> Stages {
+    let mut stages = source(&["count=6", &format!("agents={agents}")]);
+    let mut add = |id, role, name, args: &[&str], from| {
+        let args = args.iter().map(|arg| arg.to_string()).collect();
+        stages.add(id, stage(role, name), args, &[from]).unwrap();
+    };
+    add("echo", "operator", "echo", &[], ("in", "source", "out"));
+    add("delay", "operator", "delay", &[delay], ("in", "echo", "echoed"));
+    stages
+}
+
+#[test]
+fn runs_that_share_calls_give_the_same_as_runs_by_themselves() {
+    let compute = ComputeProfile {
+        nanos: [("echo".to_string(), 7), ("delay".to_string(), 250)].into(),
+    };
+    let delays = ["delay=0", "delay=41", "delay=300", "delay=41"];
+    let all = delays.map(|delay| late_delay("a,b", delay));
+    let alone = all
+        .each_ref()
+        .map(|stages| virtual_time::run(stages, &compute, None).unwrap());
+    assert!(alone[0] != alone[1] && alone[0].nodes["echo"].errors == 2);
+    // By bytes of memory: stages that computed and that took their calls.
+    for (limit, counts, too_large) in [(1 << 20, (6, 6), 0), (0, (12, 0), 3)] {
+        let shared = Shared::new(limit);
+        let outlines = all.each_ref().map(|stages| shared.outline(stages, &compute));
+        let after = shared.plan(&outlines);
+        let after: Vec<Vec<usize>> = after.into_iter().map(|before| before.into_iter().collect()).collect();
+        assert_eq!(after, [vec![], vec![0], vec![0], vec![0, 1]]);
+        for ((stages, outline), alone) in all.iter().zip(&outlines).zip(&alone) {
+            let books = virtual_time::run_shared(stages, &compute, (&shared, outline), |_| {}).unwrap();
+            assert_eq!(books, *alone);
+        }
+        let sharing = shared.sharing();
+        assert_eq!((sharing.computed, sharing.repeated), counts, "{limit} bytes");
+        assert_eq!(sharing.too_large.len(), too_large, "{sharing:?}");
+        assert!(sharing.held_most <= limit);
+    }
+}
+
+#[test]
+fn nothing_is_taken_from_a_run_that_failed() {
+    let with_notes = |delay| {
+        let mut stages = late_delay("full", delay);
+        let wire = [("in", "delay", "out")];
+        stages.add("notes", stage("node", "notes"), vec![], &wire).unwrap();
+        stages
+    };
+    let compute = ComputeProfile::default();
+    let shared = Shared::new(1 << 20);
+    let all = ["delay=0", "delay=1"].map(with_notes);
+    let outlines = all.each_ref().map(|stages| shared.outline(stages, &compute));
+    shared.plan(&outlines);
+    for (stages, outline) in all.iter().zip(&outlines) {
+        let error = virtual_time::run_shared(stages, &compute, (&shared, outline), |_| {}).unwrap_err();
+        assert_eq!(error.to_string(), "node `notes` failed: no space left");
+    }
+    assert_eq!((shared.sharing().computed, shared.sharing().repeated), (6, 0));
 }

@@ -79,28 +79,53 @@ impl Recorder {
 
     /// Records a call; `false` where there is no room for it, or it cannot be repeated.
     pub fn call(&mut self, shared: &Shared, stage: &str, mark: u64, called: &Called) -> bool {
-        let Some(copy) = called.copy_with(|port, message| self.0.kept(port, message)) else {
+        let Some(copy) = self.0.kept_call(called) else {
             return false;
         };
-        let bytes = HEADER + copy.sent().map(|(_, message)| size(message)).sum::<u64>();
-        let fits = shared.reserve(stage, bytes);
-        if fits {
-            self.0.bytes += bytes;
+        if self.fits(shared, stage, size_of_call(&copy)) {
             self.0.calls.push((mark, copy));
+            return true;
         }
+        self.thin(shared) && self.call(shared, stage, mark, called)
+    }
+
+    fn fits(&mut self, shared: &Shared, stage: &str, bytes: u64) -> bool {
+        let fits = shared.reserve(stage, bytes);
+        self.0.bytes += if fits { bytes } else { 0 };
         fits
     }
 
-    /// Records what a source released; `false` where there is no room for it.
-    pub fn release(&mut self, shared: &Shared, stage: &str, (time, port, message): &Released) -> bool {
-        let message = self.0.kept(*port, message);
-        let bytes = size(&message);
-        let fits = shared.reserve(stage, bytes);
-        if fits {
-            self.0.bytes += bytes;
-            self.0.released.push((*time, *port, message));
+    /// Lets go of all payloads that fill the memory: what needs them computes this stage again. `false` where none is left.
+    fn thin(&mut self, shared: &Shared) -> bool {
+        if self.0.whole.is_empty() {
+            return false;
         }
-        fits
+        self.0.whole.clear();
+        let calls = std::mem::take(&mut self.0.calls).into_iter();
+        self.0.calls = calls
+            .filter_map(|(mark, called)| Some((mark, self.0.kept_call(&called)?)))
+            .collect();
+        let released = std::mem::take(&mut self.0.released).into_iter();
+        let released = released.map(|(time, port, message)| (time, port, self.0.kept(port, &message)));
+        self.0.released = released.collect();
+        let calls = self.0.calls.iter().map(|(_, called)| size_of_call(called));
+        let bytes = calls
+            .chain(self.0.released.iter().map(|(.., message)| size(message)))
+            .sum();
+        shared.release(self.0.bytes - bytes);
+        self.0.bytes = bytes;
+        true
+    }
+
+    /// Records what a source released; `false` where there is no room for it.
+    pub fn release(&mut self, shared: &Shared, stage: &str, released: &Released) -> bool {
+        let (time, port, message) = released;
+        let message = self.0.kept(*port, message);
+        if self.fits(shared, stage, size(&message)) {
+            self.0.released.push((*time, *port, message));
+            return true;
+        }
+        self.thin(shared) && self.release(shared, stage, released)
     }
 
     /// Records what a source counted to its end.
@@ -119,6 +144,10 @@ impl Recorder {
 }
 
 impl Recording {
+    fn kept_call(&self, called: &Called) -> Option<Called> {
+        called.copy_with(|port, message| self.kept(port, message))
+    }
+
     /// A message as it is kept: without its columns where nobody will look at them.
     fn kept(&self, port: PortId, message: &Message) -> Message {
         let mut message = message.clone();
@@ -138,6 +167,10 @@ impl Recording {
         }
         message
     }
+}
+
+fn size_of_call(called: &Called) -> u64 {
+    HEADER + called.sent().map(|(_, message)| size(message)).sum::<u64>()
 }
 
 /// What a message holds, bytes.

@@ -42,6 +42,7 @@ use folders::Folders;
 
 pub use dora::find as find_dora;
 pub(crate) use dora::on_this_machine as dora_on_this_machine;
+pub(crate) use limit::PERFECT;
 pub(crate) use machine::{Check, checks, cores, threads_of_virtual as check_threads};
 pub(crate) use networks::Networks;
 pub(crate) use nodes::{argument, decided_argument};

@@ -74,7 +74,8 @@ pub fn plan(args: &Args, graphs: Vec<PathBuf>, names: Vec<String>) -> Result<Pla
                 if at == next {
                     let ego = run.ego().to_string();
                     let key = format!("{}/{log}/{ego}", folder(name).display());
-                    let order = (run.log_path(), ego, graph);
+                    // The ego alone comes last: all that it computes, graphs with more stages compute as well.
+                    let order = (run.log_path(), ego, if graph == 0 { names.len() } else { graph });
                     found.push(Found { run, order, key, parts });
                 }
                 runs.push(at);
@@ -134,6 +135,8 @@ fn profile(args: &Args, graphs: &[PathBuf]) -> Result<String> {
     let names: Vec<&str> = profiles.iter().map(String::as_str).collect();
     match names.as_slice() {
         [] => bail!("--vary link.…: none of these graphs has a link"),
+        // Settings by themselves change the link that delays and loses nothing.
+        [run::PERFECT] => Ok(String::new()),
         [one] => Ok((*one).into()),
         _ if args.choices.link.is_some() => Ok(String::new()),
         several => bail!(

@@ -2,6 +2,7 @@
 
 use std::fmt::Write;
 use std::path::Path;
+use std::rc::Rc;
 
 use eyre::{Result, WrapErr};
 use realo_render::{Chart, Curve, Value};
@@ -31,6 +32,8 @@ struct Course<'a> {
 enum Turn {
     Never,
     Everywhere,
+    /// It is negative at the first value, and not at all of them.
+    AtFirst,
     /// Between two values, and where a straight line between them crosses 0; words have no such place.
     Between(String, String, Option<f64>),
 }
@@ -56,8 +59,15 @@ impl Sweep {
     pub fn table(&self) -> String {
         let iou = self.iou();
         let mut lines = vec![self.head(&iou)];
-        lines.extend(self.rows.iter().map(|row| self.line(row, &iou)));
-        let mut text = aligned(&lines);
+        for rows in self.same() {
+            lines.push(self.line(&rows, &iou));
+        }
+        let fixed = self.vary.iter().filter(|vary| vary.values.len() == 1);
+        let fixed: Vec<String> = fixed.map(|vary| format!("{}={}", vary.name, vary.values[0])).collect();
+        let mut text = match fixed.is_empty() {
+            true => aligned(&lines),
+            false => format!("at {}\n{}", fixed.join(", "), aligned(&lines)),
+        };
         let harm = self.harm(&iou);
         if harm.len() > 1 {
             let _ = write!(
@@ -72,8 +82,9 @@ impl Sweep {
         };
         let _ = write!(
             text,
-            "\nmAP@{iou}: mean of the classes' AP where boxes overlap by {iou}. interval: 95 %, by resampling {over}. margin: minus \
-             the ego alone ({ALONE}). age: half of the data that were fused are not older.\n"
+            "\nmAP@{iou}: mean of the classes' AP, where boxes that overlap by {iou} are the same.\ninterval: 95 %, by resampling \
+             {over}.\nmargin: minus the ego alone ({ALONE}).\nage: of half of the data that were fused it is not \
+             higher.\n"
         );
         if self.missing() > 0 {
             let _ = writeln!(
@@ -98,7 +109,39 @@ impl Sweep {
         first.chain(varied).chain(rest).collect()
     }
 
-    fn line(&self, row: &Row, iou: &str) -> Vec<String> {
+    /// Rows of the same runs together: of a graph without a place for a setting.
+    fn same(&self) -> Vec<Vec<&Row>> {
+        let mut all: Vec<Vec<&Row>> = Vec::new();
+        for row in &self.rows {
+            let is_same = |rows: &&mut Vec<&Row>| match (&rows[0].run, &row.run) {
+                (Some(one), Some(other)) => Rc::ptr_eq(one, other) && rows[0].point.strategy == row.point.strategy,
+                _ => false,
+            };
+            match all.iter_mut().find(is_same) {
+                Some(rows) => rows.push(row),
+                None => all.push(vec![row]),
+            }
+        }
+        all
+    }
+
+    /// The values of a setting in rows of the same runs.
+    fn values(&self, vary: usize, rows: &[&Row]) -> String {
+        let mut values: Vec<&str> = Vec::new();
+        for row in rows {
+            let value = row.point.values[vary].as_str();
+            if !values.contains(&value) {
+                values.push(value);
+            }
+        }
+        match values.len() > 1 && values.len() == self.vary[vary].values.len() {
+            true => "any".into(),
+            false => values.join(" "),
+        }
+    }
+
+    fn line(&self, rows: &[&Row], iou: &str) -> Vec<String> {
+        let row = rows[0];
         let three = |value: Option<f64>| value.map_or(NONE.into(), |value| format!("{value:.3}"));
         let interval = row.interval(iou);
         let margin = self.margin(row, iou).filter(|_| row.point.strategy != ALONE);
@@ -117,7 +160,9 @@ impl Sweep {
             of("KB_per_frame", 1).unwrap_or(NONE.into()),
             of("age_ms", 0).unwrap_or(NONE.into()),
         ];
-        first.chain(row.point.values.iter().cloned()).chain(rest).collect()
+        let varied = (0..self.vary.len()).filter(|vary| self.vary[*vary].values.len() > 1);
+        let values = varied.map(|vary| self.values(vary, rows));
+        first.chain(values).chain(rest).collect()
     }
 
     fn harm(&self, iou: &str) -> Vec<Vec<String>> {
@@ -130,6 +175,7 @@ impl Sweep {
             let turn = match self.turn(course, iou) {
                 Turn::Never => "never".into(),
                 Turn::Everywhere => "everywhere".into(),
+                Turn::AtFirst => "at the first value, not everywhere".into(),
                 Turn::Between(one, other, None) => format!("between {one} and {other}"),
                 Turn::Between(one, other, Some(place)) => format!("at about {place:.3} (between {one} and {other})"),
             };
@@ -179,7 +225,7 @@ impl Sweep {
     /// The values of the other settings in words.
     fn others(&self, course: &Course) -> String {
         let named = self.vary.iter().zip(&course.values).enumerate();
-        let others = named.filter(|(at, _)| *at != course.vary);
+        let others = named.filter(|(at, (vary, _))| *at != course.vary && vary.values.len() > 1);
         let words: Vec<String> = others
             .map(|(_, (vary, value))| format!("{}={value}", vary.name))
             .collect();
@@ -311,6 +357,7 @@ impl Sweep {
                 let (turns, one, other, place) = match self.turn(course, &iou) {
                     Turn::Never => ("never", String::new(), String::new(), None),
                     Turn::Everywhere => ("everywhere", String::new(), String::new(), None),
+                    Turn::AtFirst => ("at the first value", String::new(), String::new(), None),
                     Turn::Between(one, other, place) => ("between", one, other, place),
                 };
                 let (setting, others) = (&self.vary[course.vary].name, self.others(course));
@@ -381,11 +428,7 @@ fn turn(margins: &[(String, f64)]) -> Turn {
     };
     let Some(before) = at.checked_sub(1) else {
         let is_everywhere = margins.iter().all(|(_, margin)| *margin < 0.0);
-        let (value, _) = &margins[at];
-        return match is_everywhere {
-            true => Turn::Everywhere,
-            false => Turn::Between(value.clone(), value.clone(), value.parse().ok()),
-        };
+        return if is_everywhere { Turn::Everywhere } else { Turn::AtFirst };
     };
     let ((one, good), (other, bad)) = (&margins[before], &margins[at]);
     let place = one.parse::<f64>().ok().zip(other.parse::<f64>().ok());
@@ -456,7 +499,7 @@ mod tests {
             of(&[("perfect", 0.2), ("paper", -0.1)]),
             between("perfect", "paper", None)
         );
-        assert_eq!(of(&[("0", -0.1), ("50", 0.2)]), between("0", "0", Some(0.0)));
+        assert_eq!(of(&[("0", -0.1), ("50", 0.2)]), Turn::AtFirst);
     }
 
     #[test]

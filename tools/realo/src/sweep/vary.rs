@@ -127,7 +127,8 @@ pub fn apply(all: &[Vary], values: &[String], profile: &str, args: &mut run::Arg
         }
         if let Some(key) = name.strip_prefix(LINK) {
             let base = choices.link.get_or_insert_with(|| profile.into());
-            base.push_str(&format!(",{key}={value}"));
+            let comma = if base.is_empty() { "" } else { "," };
+            base.push_str(&format!("{comma}{key}={value}"));
             continue;
         }
         match name.as_str() {
