@@ -62,9 +62,12 @@ fn a_sweep_finds_where_late_boxes_are_of_no_use() {
         err.contains("3 runs, 0 done already, 3 to run") && err.contains("the first run took"),
         "{err}"
     );
-    assert!(said.contains("do no harm") && said.contains("blocks"), "{said}");
+    assert!(
+        said.contains("do no harm") && said.contains("blocks") && said.contains("no objects of "),
+        "{said}"
+    );
     let rows = rows(&out.join("sweep.csv"));
-    let mean = |at: usize| cell(&rows[at], "mAP_0.5").parse::<f64>().expect("a number");
+    let mean = |at: usize| cell(&rows[at], "mean_AP_0.5").parse::<f64>().expect("a number");
     let names: Vec<[&str; 2]> = rows
         .iter()
         .map(|row| [cell(row, "strategy"), cell(row, "link.delay_ms")])
@@ -84,7 +87,7 @@ fn a_sweep_finds_where_late_boxes_are_of_no_use() {
     let margin: f64 = cell(&rows[2], "margin_0.5").parse().expect("a number");
     assert!((margin - (mean(2) - mean(0))).abs() < 1e-12);
     let [low, high] =
-        ["mAP_0.5_low", "mAP_0.5_high"].map(|name| cell(&rows[2], name).parse::<f64>().expect("a number"));
+        ["mean_AP_0.5_low", "mean_AP_0.5_high"].map(|name| cell(&rows[2], name).parse::<f64>().expect("a number"));
     assert!(low <= mean(2) && mean(2) <= high);
     let picture = fs::read_to_string(out.join("link.delay_ms.svg")).expect("a picture");
     let picture = roxmltree::Document::parse(&picture).expect("SVG");

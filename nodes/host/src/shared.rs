@@ -39,7 +39,7 @@ pub struct Sharing {
     pub computed: usize,
     /// The most memory that recorded calls held, bytes.
     pub held_most: u64,
-    /// Stages whose calls did not fit into the memory, by id.
+    /// Stages whose calls, or the payloads in them, did not fit into the memory, by id.
     pub too_large: BTreeSet<String>,
 }
 

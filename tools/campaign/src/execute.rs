@@ -109,7 +109,7 @@ mod tests {
                 order.lock().unwrap().push(task.item);
                 if task.item == 1 { Err("full") } else { Ok(()) }
             };
-            let ended = |ended: Ended<&str>| failed.extend(ended.result.err().map(|error| (ended.task, error)));
+            let ended = |ended: Ended<&'static str>| failed.extend(ended.result.err().map(|error| (ended.task, error)));
             execute(&tasks, jobs, || false, work, ended);
             let order = order.into_inner().unwrap();
             let at = |item: usize| order.iter().position(|other| *other == item).unwrap();

@@ -87,7 +87,7 @@ impl Args {
     }
 }
 
-/// The graphs, the ego alone first, and their names.
+/// The graphs, the ego alone last, and their names.
 fn graphs(args: &Args) -> Result<(Vec<PathBuf>, Vec<String>)> {
     let mut graphs = Vec::new();
     for path in &args.graphs {
@@ -98,7 +98,7 @@ fn graphs(args: &Args) -> Result<(Vec<PathBuf>, Vec<String>)> {
         Some(at) => graphs.remove(at),
         None => find::graph(points::ALONE.as_ref())?,
     };
-    graphs.insert(0, alone);
+    graphs.push(alone);
     let names = run::names_of(&graphs)?;
     Ok((graphs, names))
 }

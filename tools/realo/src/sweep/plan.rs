@@ -75,7 +75,7 @@ pub fn plan(args: &Args, graphs: Vec<PathBuf>, names: Vec<String>) -> Result<Pla
                     let ego = run.ego().to_string();
                     let key = format!("{}/{log}/{ego}", folder(name).display());
                     // The ego alone comes last: all that it computes, graphs with more stages compute as well.
-                    let order = (run.log_path(), ego, if graph == 0 { names.len() } else { graph });
+                    let order = (run.log_path(), ego, graph);
                     found.push(Found { run, order, key, parts });
                 }
                 runs.push(at);
@@ -116,8 +116,8 @@ fn place(
         });
         runs.insert(key, run);
     }
-    points.sort_by_key(|point| point.graph);
-    let points = points.into_iter().map(|point| point.named(&names[..])).collect();
+    points.sort_by_key(|point| (point.graph + 1 < names.len(), point.graph));
+    let points = points.into_iter().map(|point| point.named(names)).collect();
     Ok(Planned {
         plan: Plan::new("realo sweep", asked(args, names), items)?,
         points,
@@ -247,7 +247,7 @@ fn report(all: &[Arc<Shared>]) {
     if !too_large.is_empty() {
         let stages: Vec<String> = too_large.into_iter().collect();
         eprintln!(
-            "realo: computed in every run, because it does not fit into the memory: {}; --share-mib gives more",
+            "realo: computed more than once, because not all of it fits into the memory: {}; --share-mib gives more",
             stages.join(", ")
         );
     }

@@ -155,25 +155,47 @@ impl Sweep {
 }
 
 impl Row {
-    /// mAP, all detections sorted by score.
-    pub fn mean_ap(&self, iou: &str) -> Option<f64> {
-        let accuracy = self.run.as_ref()?.result.accuracy.as_ref()?;
-        accuracy.sorted.mean_ap.get(iou).copied().flatten()
+    /// The AP of the classes of which there are objects, all detections sorted by score.
+    fn known(&self, iou: &str) -> Vec<(&str, f64)> {
+        let accuracy = self.run.as_ref().and_then(|run| run.result.accuracy.as_ref());
+        let classes = accuracy.into_iter().flat_map(|accuracy| &accuracy.sorted.ap);
+        let known = classes.filter_map(|(class, ap)| Some((class.as_str(), ap.get(iou).copied().flatten()?)));
+        known.collect()
     }
 
-    /// Its 95 % interval.
+    /// Classes of which there are no objects.
+    pub fn unknown(&self, iou: &str) -> Vec<String> {
+        let accuracy = self.run.as_ref().and_then(|run| run.result.accuracy.as_ref());
+        let classes = accuracy.into_iter().flat_map(|accuracy| accuracy.sorted.ap.keys());
+        let known = self.known(iou);
+        let is_unknown = |class: &&String| !known.iter().any(|(known, _)| known == class);
+        classes.filter(is_unknown).cloned().collect()
+    }
+
+    /// mAP; where classes have no objects, the mean of the others.
+    pub fn mean_ap(&self, iou: &str) -> Option<f64> {
+        let known = self.known(iou);
+        let sum: f64 = known.iter().map(|(_, ap)| ap).sum();
+        let all = self.run.as_ref()?.result.accuracy.as_ref()?;
+        let whole = all.sorted.mean_ap.get(iou).copied().flatten();
+        whole.or_else(|| (!known.is_empty()).then(|| sum / known.len() as f64))
+    }
+
+    /// Its 95 % interval; not known where the mean is of several classes, but not of all.
     pub fn interval(&self, iou: &str) -> Option<[f64; 2]> {
         let intervals = self.run.as_ref()?.result.intervals.as_ref()?;
-        intervals.accuracy.sorted.mean_ap.get(iou).copied().flatten()
+        let sorted = &intervals.accuracy.sorted;
+        let only = match self.known(iou).as_slice() {
+            [(class, _)] => sorted.ap.get(*class).and_then(|ap| ap.get(iou).copied().flatten()),
+            _ => None,
+        };
+        sorted.mean_ap.get(iou).copied().flatten().or(only)
     }
 }
 
 /// Runs as one, with intervals over logs, or over blocks of scored frames where there is one log.
 fn pool(folders: &[&PathBuf]) -> Result<Run> {
-    let runs: Vec<Run> = folders
-        .iter()
-        .map(|folder| realo_report::read_run(folder))
-        .collect::<Result<_, _>>()?;
+    let runs: Vec<Run> = folders.iter().map(realo_report::read_run).collect::<Result<_, _>>()?;
     let mut run = realo_report::pool(&runs)?;
     if run.result.intervals.is_none()
         && let Some(evaluation) = &run.samples.evaluation

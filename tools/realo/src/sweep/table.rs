@@ -1,5 +1,6 @@
 //! A sweep as a table for the terminal, as CSV and as curves.
 
+use std::collections::BTreeSet;
 use std::fmt::Write;
 use std::path::Path;
 use std::rc::Rc;
@@ -86,6 +87,15 @@ impl Sweep {
              {over}.\nmargin: minus the ego alone ({ALONE}).\nage: of half of the data that were fused it is not \
              higher.\n"
         );
+        let unknown: BTreeSet<String> = self.rows.iter().flat_map(|row| row.unknown(&iou)).collect();
+        if !unknown.is_empty() {
+            let unknown: Vec<String> = unknown.into_iter().collect();
+            let _ = writeln!(
+                text,
+                "no objects of {}: mAP is the mean of the other classes",
+                unknown.join(", ")
+            );
+        }
         if self.missing() > 0 {
             let _ = writeln!(
                 text,
@@ -98,7 +108,8 @@ impl Sweep {
 
     fn head(&self, iou: &str) -> Vec<String> {
         let first = std::iter::once("strategy".to_string());
-        let varied = self.vary.iter().map(|vary| vary.name.clone());
+        let varied = self.vary.iter().filter(|vary| vary.values.len() > 1);
+        let varied = varied.map(|vary| vary.name.clone());
         let rest = [
             format!("mAP@{iou}"),
             "interval".into(),
@@ -325,8 +336,15 @@ impl Sweep {
                 columns.push((format!("mAP_v2x_real_order_{iou}_{bound}"), Box::new(cell)));
             }
             let of = iou.clone();
+            columns.push((format!("mean_AP_{iou}"), Box::new(move |row: &Row| row.mean_ap(&of))));
+            for (end, bound) in ["low", "high"].into_iter().enumerate() {
+                let of = iou.clone();
+                let cell = move |row: &Row| Some(row.interval(&of)?[end]);
+                columns.push((format!("mean_AP_{iou}_{bound}"), Box::new(cell)));
+            }
+            let of = iou.clone();
             let alone = move |row: &Row| self.row(ALONE, &row.point.values)?.mean_ap(&of);
-            columns.push((format!("ego_alone_mAP_{iou}"), Box::new(alone)));
+            columns.push((format!("ego_alone_mean_AP_{iou}"), Box::new(alone)));
             let of = iou.clone();
             columns.push((
                 format!("margin_{iou}"),
