@@ -531,6 +531,35 @@ fn pooling_is_scoring_all_frames_at_once() {
 }
 
 #[test]
+fn blocks_of_one_log_have_an_interval_and_all_its_frames() {
+    let one = evaluation("a", 3);
+    let keys = |of: &Evaluation| {
+        let frames = of.scenes.iter().flat_map(|scene| &scene.frames);
+        frames.filter(|frame| frame.key).map(|frame| frame.seq).collect::<Vec<_>>()
+    };
+    let scored = keys(&one).len();
+    assert!(scored > 1);
+    for most in [2, 20] {
+        let blocks = one.blocks(most);
+        assert_eq!(blocks.scenes.len(), most.min(scored));
+        assert_eq!(keys(&blocks), keys(&one));
+        let frames = |of: &Evaluation| of.scenes.iter().map(|scene| scene.frames.len()).sum::<usize>();
+        assert_eq!(frames(&blocks), frames(&one));
+        assert_eq!(score(&blocks).accuracy.sorted, score(&one).accuracy.sorted);
+        assert!(score(&blocks).intervals.is_some());
+    }
+    // The frames of two egos of one log are drawn together.
+    let mut two = one.clone();
+    two.scenes.push(Scene {
+        ego: "other".into(),
+        ..one.scenes[0].clone()
+    });
+    let names: Vec<String> = two.blocks(2).scenes.into_iter().map(|scene| scene.name).collect();
+    assert_eq!(names[0], names[1]);
+    assert_eq!(one.blocks(1).scenes.len(), 1);
+}
+
+#[test]
 fn intervals_need_two_logs_and_hold_the_value() {
     assert!(score(&evaluation("a", 3)).intervals.is_none());
     let pooled = pool((2..9).map(|luck| evaluation(&format!("log{luck}"), luck)).collect()).unwrap();

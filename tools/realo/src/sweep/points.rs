@@ -123,6 +123,11 @@ impl Sweep {
         self.missing.len()
     }
 
+    /// Whether no point has all its runs.
+    pub fn is_empty(&self) -> bool {
+        self.rows.iter().all(|row| row.run.is_none())
+    }
+
     /// The overlap of curves and margins.
     pub fn iou(&self) -> String {
         let ious = self.ious();

@@ -45,6 +45,9 @@ impl Sweep {
     /// # Errors
     /// A file that cannot be written.
     pub fn write(&self, folder: &Path) -> Result<()> {
+        if self.is_empty() {
+            return Ok(());
+        }
         put(&folder.join(POINTS), &self.csv())?;
         put(&folder.join(MARGINS), &self.margins_csv())?;
         for vary in 0..self.vary.len() {
@@ -58,6 +61,9 @@ impl Sweep {
 
     /// What is shown on the terminal.
     pub fn table(&self) -> String {
+        if self.is_empty() {
+            return format!("no point is complete yet: {} runs are missing\n", self.missing());
+        }
         let iou = self.iou();
         let mut lines = vec![self.head(&iou)];
         for rows in self.same() {
