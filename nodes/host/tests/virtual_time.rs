@@ -3,7 +3,7 @@
 use std::sync::Mutex;
 
 use realo_graph::Graph;
-use realo_host::virtual_time::{self, RunError};
+use realo_host::virtual_time::{self, Progress, RunError};
 use realo_host::{ComputeProfile, Shared, Stages};
 use realo_operator::{
     Books, Counts, Describe, Error, Operator, Outputs, Port, PortError, PortId, Registration, Registry, Settings, Sink,
@@ -391,7 +391,7 @@ nodes:
     assert_eq!(one, many);
 }
 
-/// source > echo > delay > notes, in which only the delay differs from run to run.
+/// source > echo > delay > last, in which only the delay differs from run to run.
 fn late_delay(agents: &str, delay: &str) -> Stages {
     let mut stages = source(&["count=6", &format!("agents={agents}")]);
     let mut add = |id, role, name, args: &[&str], from| {
@@ -400,7 +400,15 @@ fn late_delay(agents: &str, delay: &str) -> Stages {
     };
     add("echo", "operator", "echo", &[], ("in", "source", "out"));
     add("delay", "operator", "delay", &[delay], ("in", "echo", "echoed"));
+    add("last", "operator", "echo", &[], ("in", "delay", "out"));
     stages
+}
+
+/// The books of a run, and when its events were.
+fn watched(run: impl FnOnce(&mut dyn FnMut(Progress)) -> Result<Books, RunError>) -> (Books, Vec<Progress>) {
+    let mut times = Vec::new();
+    let books = run(&mut |progress| times.push(progress)).unwrap();
+    (books, times)
 }
 
 #[test]
@@ -412,18 +420,18 @@ fn runs_that_share_calls_give_the_same_as_runs_by_themselves() {
     let all = delays.map(|delay| late_delay("a,b", delay));
     let alone = all
         .each_ref()
-        .map(|stages| virtual_time::run(stages, &compute, None).unwrap());
-    assert!(alone[0] != alone[1] && alone[0].nodes["echo"].errors == 2);
+        .map(|stages| watched(|watch| virtual_time::run_watched(stages, &compute, None, watch)));
+    assert!(alone[0].1 != alone[1].1 && alone[0].0.nodes["echo"].errors == 2);
     // By bytes of memory: stages that computed and that took their calls.
-    for (limit, counts, too_large) in [(1 << 20, (6, 6), 0), (0, (12, 0), 3)] {
+    for (limit, counts, too_large) in [(1 << 20, (8, 8), 0), (0, (16, 0), 4)] {
         let shared = Shared::new(limit);
         let outlines = all.each_ref().map(|stages| shared.outline(stages, &compute));
         let after = shared.plan(&outlines);
         let after: Vec<Vec<usize>> = after.into_iter().map(|before| before.into_iter().collect()).collect();
         assert_eq!(after, [vec![], vec![0], vec![0], vec![0, 1]]);
         for ((stages, outline), alone) in all.iter().zip(&outlines).zip(&alone) {
-            let books = virtual_time::run_shared(stages, &compute, (&shared, outline), |_| {}).unwrap();
-            assert_eq!(books, *alone);
+            let ran = watched(|watch| virtual_time::run_shared(stages, &compute, (&shared, outline), watch));
+            assert_eq!(ran, *alone);
         }
         let sharing = shared.sharing();
         assert_eq!((sharing.computed, sharing.repeated), counts, "{limit} bytes");
@@ -449,5 +457,5 @@ fn nothing_is_taken_from_a_run_that_failed() {
         let error = virtual_time::run_shared(stages, &compute, (&shared, outline), |_| {}).unwrap_err();
         assert_eq!(error.to_string(), "node `notes` failed: no space left");
     }
-    assert_eq!((shared.sharing().computed, shared.sharing().repeated), (6, 0));
+    assert_eq!((shared.sharing().computed, shared.sharing().repeated), (8, 0));
 }

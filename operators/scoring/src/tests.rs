@@ -535,7 +535,10 @@ fn blocks_of_one_log_have_an_interval_and_all_its_frames() {
     let one = evaluation("a", 3);
     let keys = |of: &Evaluation| {
         let frames = of.scenes.iter().flat_map(|scene| &scene.frames);
-        frames.filter(|frame| frame.key).map(|frame| frame.seq).collect::<Vec<_>>()
+        frames
+            .filter(|frame| frame.key)
+            .map(|frame| frame.seq)
+            .collect::<Vec<_>>()
     };
     let scored = keys(&one).len();
     assert!(scored > 1);

@@ -107,7 +107,13 @@ impl Chart {
                 end = x + half + 6.0;
             }
         }
-        pen.text(&self.y, [left - 66.0, top - 8.0], LETTERS, Weight::Regular, style::TEXT);
+        pen.text(
+            &self.y,
+            [left - 66.0, top - 18.0],
+            LETTERS,
+            Weight::Regular,
+            style::TEXT,
+        );
         let half = pen.fonts.width(&self.x, LETTERS, Weight::Regular) / 2.0;
         let middle = (left + right) / 2.0 - half;
         pen.text(&self.x, [middle, bottom + 50.0], LETTERS, Weight::Regular, style::TEXT);
@@ -267,7 +273,6 @@ mod tests {
             text.contains("<title>late_fusion: 0.700</title>") && !text.contains("NaN"),
             "{text}"
         );
-        if let Ok(p) = std::env::var("CHART") { let mut c = chart(&["0", "50", "100"], vec![value(0.9, 0.85, 0.93), value(0.8,0.75,0.85), value(0.7, 0.6, 0.8)]); c.curves.insert(0, Curve { name: "no_fusion (ego alone)".into(), is_reference: true, values: vec![value(0.75,0.7,0.8);3]}); crate::write(p.as_ref(), &c.draw()).unwrap(); }
         let empty = crate::svg(&chart(&["0"], vec![None]).draw());
         assert!(!empty.contains("NaN") && !empty.contains("inf"));
     }

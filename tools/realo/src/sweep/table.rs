@@ -194,7 +194,9 @@ impl Sweep {
                 Turn::Everywhere => "everywhere".into(),
                 Turn::AtFirst => "at the first value, not everywhere".into(),
                 Turn::Between(one, other, None) => format!("between {one} and {other}"),
-                Turn::Between(one, other, Some(place)) => format!("at about {place:.3} (between {one} and {other})"),
+                Turn::Between(one, other, Some(place)) => {
+                    format!("at about {} (between {one} and {other})", rounded(place))
+                }
             };
             let (setting, others) = (self.vary[course.vary].name.clone(), self.others(course));
             lines.push(vec![
@@ -458,6 +460,15 @@ fn turn(margins: &[(String, f64)]) -> Turn {
     let place = one.parse::<f64>().ok().zip(other.parse::<f64>().ok());
     let place = place.map(|(from, to)| from + (to - from) * good / (good - bad));
     Turn::Between(one.clone(), other.clone(), place)
+}
+
+/// To about three digits.
+fn rounded(value: f64) -> String {
+    match value.abs() {
+        100.0.. => format!("{value:.0}"),
+        1.0.. => format!("{value:.1}"),
+        _ => format!("{value:.3}"),
+    }
 }
 
 fn exact(value: Option<f64>) -> String {
