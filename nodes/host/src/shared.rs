@@ -30,6 +30,13 @@ pub struct Outline {
     feeds: Vec<Vec<(usize, PortId)>>,
 }
 
+impl Outline {
+    /// By what runs are ordered: those that have more in common are neighbours, so that what is recorded is soon let go.
+    pub fn order(&self) -> &[Option<usize>] {
+        &self.keys
+    }
+}
+
 /// How much was shared.
 #[derive(Clone, Debug, Default, PartialEq, Eq)]
 pub struct Sharing {

@@ -119,20 +119,23 @@ impl<'a> Campaign<'a> {
         self.jobs
     }
 
-    /// Has them run; `after`: for each the ones that have to end first, by places in [`Campaign::left`]. `work` makes the run of
-    /// an item, with its files in the folder, and gives what is kept in its record. Says after the first how long all take, and
-    /// each failure at once.
+    /// The items that are to run, as tasks that wait for nobody.
+    pub fn tasks(&self) -> Vec<Task> {
+        let task = |item: &usize| Task {
+            item: *item,
+            after: BTreeSet::new(),
+        };
+        self.left.iter().map(task).collect()
+    }
+
+    /// Has tasks run, which are those of [`Campaign::tasks`] in any order. `work` makes the run of an item, with its files in the
+    /// folder, and gives what is kept in its record. Says after the first how long all take, and each failure at once.
     pub fn run<T: Serialize>(
         &self,
         what: &str,
-        after: &[BTreeSet<usize>],
+        tasks: &[Task],
         work: impl Fn(&Item, &Path) -> Result<T> + Sync,
     ) -> Ended {
-        let task = |(place, item): (usize, &usize)| Task {
-            item: *item,
-            after: after.get(place).cloned().unwrap_or_default(),
-        };
-        let tasks: Vec<Task> = self.left.iter().enumerate().map(task).collect();
         let mut ended = Ended::default();
         if tasks.is_empty() {
             return ended;

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
 use eyre::{Result, WrapErr, bail};
-use realo_cli::campaign::{self, Campaign, Ended, Item, Plan};
+use realo_cli::campaign::{self, Campaign, Ended, Item, Plan, Task};
 use realo_host::{Outline, Shared};
 
 use super::points::Point;
@@ -204,23 +204,29 @@ pub fn run(args: &Args, campaign: &Campaign, plan: &Plan, runs: &BTreeMap<String
         groups.entry((run.log_path(), run.ego())).or_default().push(place);
     }
     let at_once = groups.len().min(campaign.jobs()).max(1) as u64;
-    let mut after = vec![BTreeSet::new(); left.len()];
+    let left_tasks = campaign.tasks();
+    let (mut tasks, mut all) = (Vec::new(), Vec::new());
     let mut shares: BTreeMap<&str, (Arc<Shared>, Outline)> = BTreeMap::new();
-    let mut all = Vec::new();
-    for places in groups.values().filter(|_| args.share_mib > 0) {
-        let shared = Arc::new(Shared::new(args.share_mib * MIB / at_once));
-        let outlines = places.iter().map(|place| run::outline(left[*place], &shared));
-        let outlines: Vec<Outline> = outlines.collect::<Result<_>>()?;
-        for (place, before) in places.iter().zip(shared.plan(&outlines)) {
-            after[*place] = before.into_iter().map(|at| places[at]).collect();
+    for places in groups.into_values() {
+        if args.share_mib == 0 {
+            tasks.extend(places.iter().map(|place| left_tasks[*place].clone()));
+            continue;
         }
-        for (place, outline) in places.iter().zip(outlines) {
-            let key = &plan.items[campaign.left()[*place]].key;
-            shares.insert(key, (shared.clone(), outline));
+        let shared = Arc::new(Shared::new(args.share_mib * MIB / at_once));
+        let outline = |place: usize| Ok((place, run::outline(left[place], &shared)?));
+        let mut outlined: Vec<(usize, Outline)> = places.into_iter().map(outline).collect::<Result<_>>()?;
+        outlined.sort_by(|(_, a), (_, b)| a.order().cmp(b.order()));
+        let outlines: Vec<Outline> = outlined.iter().map(|(_, outline)| outline.clone()).collect();
+        let first = tasks.len();
+        for ((place, outline), before) in outlined.into_iter().zip(shared.plan(&outlines)) {
+            let item = left_tasks[place].item;
+            let after = before.into_iter().map(|at| first + at).collect();
+            tasks.push(Task { item, after });
+            shares.insert(&plan.items[item].key, (shared.clone(), outline));
         }
         all.push(shared);
     }
-    let ended = campaign.run("sweeping", &after, |item, _| {
+    let ended = campaign.run("sweeping", &tasks, |item, _| {
         let share = shares.get(&*item.key);
         run::one(&runs[&item.key], share.map(|(shared, outline)| (&**shared, outline)))
     });
