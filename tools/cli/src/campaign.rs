@@ -149,7 +149,7 @@ impl<'a> Campaign<'a> {
         };
         let mut heard = 0;
         realo_campaign::execute(
-            &tasks,
+            tasks,
             self.jobs,
             || signals::first().is_some(),
             one,
