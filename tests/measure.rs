@@ -222,3 +222,94 @@ fn a_bench_that_runs_graphs_looks_for_the_program_before_it_makes_a_log() {
     }
     assert!(!tree.at("target").exists(), "nothing was made");
 }
+
+/// A tree whose `realo` writes a file where results go, or fails where a file `fail` is.
+fn tree_of_paper(name: &str) -> Tree {
+    let tree = Tree::new(name, &[("one", WAITS.into())]);
+    for source in [
+        "Cargo.lock",
+        "Cargo.toml",
+        "schemas/a",
+        "operators/a",
+        "nodes/a",
+        "python/a",
+    ] {
+        tree.write(source, "a");
+    }
+    let script = "#!/bin/sh\ntest -e fail && { echo no space >&2; exit 1; }\n\
+                  while test $# -gt 0; do test \"$1\" = --out && mkdir -p \"$2\" && echo {} > \"$2/result.json\"; shift; done\n";
+    tree.write("bin/realo", script);
+    for args in [
+        &["init", "-q"][..],
+        &[
+            "add",
+            "Cargo.lock",
+            "Cargo.toml",
+            "schemas",
+            "operators",
+            "nodes",
+            "tools",
+            "dataflows",
+            "models",
+            "python",
+        ],
+        &["-c", "user.name=a", "-c", "user.email=a@b", "commit", "-q", "-m", "a"],
+    ] {
+        let done = Command::new("git").args(args).current_dir(&tree.0).status();
+        assert!(done.expect("there is git").success(), "{args:?}");
+    }
+    tree
+}
+
+#[test]
+fn the_paper_s_runs_are_shared_out_resumed_and_merged() {
+    let tree = tree_of_paper("measure-paper");
+    let paper = |args: &[&str]| {
+        let args = [&["paper", "--seconds", "1", "--jobs", "1"], args].concat();
+        let output = tree.command(&args, &tree.0).output().expect("it can be started");
+        (output.status.code(), text(&output.stderr))
+    };
+    // The last shard has no bench.
+    let shard = ["--scenes", "2", "--shard", "55/55", "--out", "shard"];
+    tree.write("fail", "");
+    let (code, said) = paper(&shard);
+    assert_eq!(code, Some(1), "{said}");
+    for part in [
+        "2 runs in shard 55/55, 0 done already, 2 to run",
+        "no space",
+        "runs what is missing",
+    ] {
+        assert!(said.contains(part), "{part} is not in {said}");
+    }
+    fs::remove_file(tree.at("fail")).expect("it is there");
+    let (code, said) = paper(&shard);
+    assert!(
+        code == Some(0) && said.contains("108 runs of 110 are not here yet"),
+        "{said}"
+    );
+    assert!(
+        tree.at("shard/runs/i2i/online/no_fusion/901/run/result.json").exists(),
+        "{said}"
+    );
+    let (_, said) = paper(&shard);
+    assert!(said.contains("2 done already, 0 to run"), "{said}");
+    let (code, said) = paper(&["--scenes", "2", "--merge", "shard", "--out", "all"]);
+    assert!(code == Some(0) && said.contains("shard: 2 of 110 runs taken"), "{said}");
+    let (code, said) = paper(&["--scenes", "3", "--merge", "shard", "--out", "other"]);
+    assert!(
+        code == Some(1) && said.contains("another plan") && said.contains("--scenes"),
+        "{said}"
+    );
+    let (code, said) = paper(&["--scenes", "2", "--cell", "v2v/online/attfuze"]);
+    assert!(
+        code == Some(2) && said.contains("expected one of v2xvit, attfuse"),
+        "{said}"
+    );
+    // A change of what results depend on makes them anew.
+    tree.write("operators/a", "b");
+    let (code, said) = paper(&[&shard[..], &["--allow-dirty"]].concat());
+    assert!(
+        code == Some(0) && said.contains("run again, because something has changed"),
+        "{said}"
+    );
+}

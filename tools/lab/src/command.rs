@@ -6,7 +6,7 @@ use eyre::Result;
 use realo_cli::Outcome;
 use realo_cli::program::{self, Elsewhere};
 
-use crate::{bench, checkpoint, conformance, emulate, import, measure, quantize, score, simulate, train};
+use crate::{bench, checkpoint, conformance, emulate, import, measure, paper, quantize, score, simulate, train};
 
 /// What the car's program does, for who asks this one for it.
 const CAR: Elsewhere = Elsewhere {
@@ -53,6 +53,7 @@ enum Command {
     Bench(bench::Args),
     Emulate(emulate::Args),
     Measure(measure::Args),
+    Paper(paper::Args),
     #[command(hide = true)]
     RadioEnd(bench::radio::End),
     /// Prints all commands as Markdown
@@ -72,6 +73,7 @@ impl Command {
             Command::Conformance(args) => conformance::main(args),
             Command::Bench(args) => bench::main(args),
             Command::Emulate(args) => emulate::main(args),
+            Command::Paper(args) => paper::main(args),
             Command::Measure(args) => measure::main(args).map(|()| Outcome::Complete),
             Command::RadioEnd(args) => bench::radio::end(args),
             Command::CliReference => {

@@ -9,6 +9,7 @@ mod conformance;
 mod emulate;
 mod import;
 pub mod measure;
+mod paper;
 mod quantize;
 mod score;
 mod simulate;

@@ -24,10 +24,17 @@ use std::path::{Path, PathBuf};
 
 use eyre::{Result, bail, ensure, eyre};
 
+pub(crate) use json::find as find_in;
+pub(crate) use output::{COMMIT, write_page};
+pub(crate) use page::{Column, Program, Row, Table};
 use page::{Kind, Page};
-use programs::Programs;
-pub(crate) use provenance::{Tree, machine};
-use recipes::Recipes;
+pub(crate) use process::run;
+pub(crate) use programs::Programs;
+pub(crate) use provenance::{Tree, machine, sha256};
+pub(crate) use recipes::{Recipes, page_file, root};
+pub(crate) use render::words;
+pub(crate) use source::derived;
+pub(crate) use table::markdown as table;
 
 /// Runs what a page of docs/measured needs, and writes the page
 #[derive(clap::Args)]
@@ -71,7 +78,7 @@ struct Bench {
 /// A tree with changes; an unknown page; a page that another call measures; a step that failed, with its command and its last
 /// lines.
 pub fn main(args: &Args) -> Result<()> {
-    let root = recipes::root(Path::new("."))?;
+    let root = root(Path::new("."))?;
     let recipes = Recipes::read(&root)?;
     if args.list {
         print!("{}", recipes.list());

@@ -99,6 +99,14 @@ impl Tree {
         })
     }
 
+    /// What git says of it.
+    ///
+    /// # Errors
+    /// What git finds wrong.
+    pub fn git(&self, args: &[&str]) -> Result<String> {
+        git(&self.root, args)
+    }
+
     /// Its commit, and whether it has changes that are in none.
     pub fn commit(&self) -> String {
         let changed = if self.is_changed { " with changes" } else { "" };

@@ -38,6 +38,14 @@ pub struct Recipes {
     paper: Value,
 }
 
+/// A page from its text, which names results that are not of its own steps.
+///
+/// # Errors
+/// What is wrong in it.
+pub fn page_file(text: &str) -> Result<Page> {
+    Ok(toml::from_str(text)?)
+}
+
 fn read<T: DeserializeOwned>(path: &Path) -> Result<T> {
     let text = fs::read_to_string(path).wrap_err_with(|| path.display().to_string())?;
     toml::from_str(&text).wrap_err_with(|| path.display().to_string())

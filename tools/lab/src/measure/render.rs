@@ -43,7 +43,7 @@ impl Sheet<'_> {
             }
             text += &self.table(table)?;
         }
-        text += &self.words();
+        text += &words(self.page.tables.iter().flat_map(|table| self.used(table)));
         text += &self.commands()?;
         Ok(text)
     }
@@ -94,23 +94,6 @@ impl Sheet<'_> {
             text += &format!("| sha256 of `{file}` | `{digest}` |\n");
         }
         Ok(text)
-    }
-
-    /// What the headers of columns mean.
-    fn words(&self) -> String {
-        let mut meanings: Vec<(&str, &str)> = Vec::new();
-        for column in self.page.tables.iter().flat_map(|table| self.used(table)) {
-            let meaning = column.about.as_deref().map(|about| (column.title.as_str(), about));
-            meanings.extend(meaning.filter(|meaning| !meanings.contains(meaning)));
-        }
-        if meanings.is_empty() {
-            return String::new();
-        }
-        let lines: String = meanings
-            .iter()
-            .map(|(word, about)| format!("- {word}: {about}\n"))
-            .collect();
-        format!("\n## Columns\n\n{lines}")
     }
 
     /// The commands, as one would type them.
@@ -181,6 +164,23 @@ impl Sheet<'_> {
         let place = format!("{}/*", self.plan.place(name));
         output.replace("{out}", &place).replace(&variable, "*")
     }
+}
+
+/// What the headers of columns mean.
+pub fn words<'a>(columns: impl Iterator<Item = &'a Column>) -> String {
+    let mut meanings: Vec<(&str, &str)> = Vec::new();
+    for column in columns {
+        let meaning = column.about.as_deref().map(|about| (column.title.as_str(), about));
+        meanings.extend(meaning.filter(|meaning| !meanings.contains(meaning)));
+    }
+    if meanings.is_empty() {
+        return String::new();
+    }
+    let lines: String = meanings
+        .iter()
+        .map(|(word, about)| format!("- {word}: {about}\n"))
+        .collect();
+    format!("\n## Columns\n\n{lines}")
 }
 
 #[cfg(test)]

@@ -92,7 +92,7 @@ impl<'a> Results<'a> {
 }
 
 /// Values that a run's files have only in parts.
-fn derived(result: &Value) -> Value {
+pub fn derived(result: &Value) -> Value {
     json!({ "kb_per_frame": kilobytes_per_frame(result) })
 }
 
