@@ -139,6 +139,25 @@ impl Traffic {
     }
 }
 
+/// Topic of the reports to a sender about its own packets, an [`OnAir`] each.
+pub const ON_AIR: &str = "on_air";
+
+/// What a sender's radio knows of a packet that it took: when it had crossed, and how busy the channel was before.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct OnAir {
+    /// Bytes of the packet.
+    pub bytes: u64,
+    /// Whether it was dropped, because it would have waited too long before the channel.
+    pub dropped: bool,
+    /// Time that its own bytes took on the channel, ns; 0 of one that was dropped, and where bytes take no time.
+    pub air_ns: Nanos,
+    /// Time since the sender's packet before it had crossed, ns; 0 where there was none.
+    pub span_ns: Nanos,
+    /// The part of `span_ns` in which the channel was taken, whoever sent, ns.
+    pub busy_ns: Nanos,
+}
+
 /// Topic of the reports about the agents on other machines, a list of [`Peer`].
 pub const PEERS: &str = "peers";
 

@@ -409,6 +409,8 @@ impl Engine {
                 running.late_wakes.insert((time, agent.clone()));
                 self.open.push_back((stage, agent));
             }
+            // Nobody waited for it.
+            What::End if self.stages[stage].stage.registration.inputs[port].feedback => {}
             What::End => {
                 let running = &mut self.stages[stage];
                 running.open_inputs -= 1;

@@ -4,7 +4,7 @@ use realo_schemas::Name;
 /// Stages and the wires between them, in topological order.
 #[derive(Clone, Default)]
 pub struct Wiring {
-    /// Every stage comes after those that feed it.
+    /// Every stage comes after those that feed it, but for feedback.
     pub stages: Vec<Wired>,
 }
 
@@ -56,6 +56,23 @@ impl Wiring {
             inputs: wired,
             leaves: vec![false; registration.outputs.len()],
         });
+        Ok(())
+    }
+
+    /// Wires an input of feedback of a stage that was added; its source may come after it.
+    ///
+    /// # Errors
+    /// Names a stage or port that does not exist.
+    pub fn feed_back(&mut self, id: &str, port: &str, source: &str, output: &str) -> Result<(), String> {
+        let of = |id: &str| {
+            let found = self.stages.iter().position(|stage| *stage.id == *id);
+            found.ok_or_else(|| format!("no stage `{id}`"))
+        };
+        let (to, from) = (of(id)?, of(source)?);
+        let (PortId(index), _) = input_of(id, self.stages[to].registration, port)?;
+        let made = self.stages[from].registration.output(output);
+        let (output, _) = made.ok_or_else(|| format!("node `{source}` has no output `{output}`"))?;
+        self.stages[to].inputs[index] = Some(Feed::Stage(from, output));
         Ok(())
     }
 

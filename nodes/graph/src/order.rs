@@ -11,12 +11,12 @@ impl FlatGraph {
     ///
     /// Nodes are ordered by their longest path from a source, and by declaration where that is equal, so that a rank
     /// is higher than those of all nodes upstream and depends on nothing but the file. What a gateway brings in comes from
-    /// elsewhere, not from what it takes: a way that leads back to it ends there.
+    /// elsewhere, not from what it takes: a way that leads back to it ends there. A wire to an input of feedback counts for nothing.
     ///
     /// # Errors
     /// [`GraphError::Cycle`] names one; [`GraphError::Source`] an input from a node that does not exist.
     pub fn ranks(&self, registry: &Registry) -> Result<Vec<usize>, GraphError> {
-        let upstream = self.upstream()?;
+        let upstream = self.upstream(registry)?;
         let stages = self.nodes.iter().map(|node| node.registration(registry));
         let gateways: Vec<bool> = stages
             .map(|stage| stage.is_some_and(|stage| stage.role == Role::Gateway))
@@ -51,8 +51,8 @@ impl FlatGraph {
         Ok(ranks)
     }
 
-    /// For each node the nodes that it takes from.
-    fn upstream(&self) -> Result<Vec<Vec<usize>>, GraphError> {
+    /// For each node the nodes that it takes from, but for feedback.
+    fn upstream(&self, registry: &Registry) -> Result<Vec<Vec<usize>>, GraphError> {
         let index: BTreeMap<&str, usize> = self
             .nodes
             .iter()
@@ -60,13 +60,19 @@ impl FlatGraph {
             .map(|(i, node)| (node.id.as_str(), i))
             .collect();
         let sources = |node: &FlatNode| {
+            let stage = node.registration(registry);
+            let is_feedback = |port: &str| {
+                let input = stage.and_then(|stage| stage.input(port));
+                input.is_some_and(|(_, port)| port.feedback)
+            };
             let wires = node
                 .inputs
                 .iter()
                 .filter_map(|(port, input)| Some((port, input.output()?.0)))
                 .filter(|(_, source)| *source != OUTSIDE);
             let found = wires.map(|(port, source)| {
-                index.get(source).copied().ok_or_else(|| GraphError::Source {
+                let known = index.get(source).map(|known| (port, *known));
+                known.ok_or_else(|| GraphError::Source {
                     file: self.file.clone(),
                     node: node.id.clone(),
                     port: port.clone(),
@@ -74,7 +80,9 @@ impl FlatGraph {
                     nearest: nearest_name(source, index.keys().copied()),
                 })
             });
-            found.collect()
+            let found: Result<Vec<(&String, usize)>, GraphError> = found.collect();
+            let found = found?.into_iter().filter(|(port, _)| !is_feedback(port));
+            Ok(found.map(|(_, source)| source).collect())
         };
         self.nodes.iter().map(sources).collect()
     }

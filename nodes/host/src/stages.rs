@@ -49,10 +49,14 @@ impl Stages {
         let mut order: Vec<usize> = (0..graph.nodes.len()).collect();
         order.sort_by_key(|index| ranks[*index]);
         let mut stages = Stages::default();
+        let mut back = Vec::new();
         for node in order.into_iter().map(|index| &graph.nodes[index]) {
             let folder = graph.file.parent().unwrap_or(Path::new("/"));
             let (registration, program) = identify(node, folder, registry)?;
             let (outside, inside): (Vec<_>, Vec<_>) = wires(node)?.into_iter().partition(|wire| wire.1 == OUTSIDE);
+            let is_feedback = |port: &str| registration.input(port).is_some_and(|(_, port)| port.feedback);
+            let (returning, inside): (Vec<_>, Vec<_>) = inside.into_iter().partition(|wire| is_feedback(wire.0));
+            back.extend(returning.into_iter().map(|wire| (&node.id, wire)));
             stages.add(&node.id, registration, node.settings().to_vec(), &inside)?;
             for (port, _, entry) in outside {
                 let input = stages.wiring.feed_from_outside(port)?;
@@ -61,6 +65,9 @@ impl Stages {
             if let Some(recipe) = stages.recipes.last_mut() {
                 recipe.program = program;
             }
+        }
+        for (id, (port, source, output)) in back {
+            stages.wiring.feed_back(id, port, source, output)?;
         }
         Ok(stages)
     }

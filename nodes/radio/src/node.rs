@@ -90,6 +90,8 @@ pub struct Radio {
     refused: BTreeMap<Name, Refusals>,
     courses: BTreeMap<Name, Course>,
     reports: Vec<Report>,
+    /// What was said of own messages so far.
+    words: u64,
 }
 
 /// What comes in.
@@ -121,6 +123,9 @@ pub enum Output {
     /// Where the others are.
     #[port(of(EgoReceived), ends_early)]
     States(Header, Packet),
+    /// Topic `on_air`: to this agent how long its own points and features took to a peer, or that they did not go.
+    #[port(of(Ego), ends_early)]
+    OnAir(Header, realo_schemas::Report),
 }
 
 impl Gateway for Radio {
@@ -153,6 +158,7 @@ impl Gateway for Radio {
             refused: BTreeMap::new(),
             courses: BTreeMap::new(),
             reports: Vec::new(),
+            words: 0,
         })
     }
 
@@ -217,7 +223,7 @@ impl Gateway for Radio {
                     let waited = match &event {
                         Event::Arrived(from, ..) => Some((from, 0)),
                         Event::Skipped(from, _) if has_begun => Some((from, 1)),
-                        Event::Skipped(..) | Event::Books(..) => None,
+                        Event::Skipped(..) | Event::Books(..) | Event::OnAir(..) => None,
                     };
                     if let Some((from, in_vain)) = waited {
                         out.count_of(&NO_CLOCK, from, in_vain, 1);
@@ -277,6 +283,12 @@ impl Radio {
                     self.course(&from).lost(out.now(), lost as u64);
                 }
                 out.know(fates);
+            }
+            Event::OnAir(_, word) => {
+                let (agent, now) = (&self.place.agent, out.now());
+                let header = Header::origin(&Name::default(), agent, Kind::Report, self.words, now, now);
+                self.words += 1;
+                out.send(Output::OnAir(header, to_report(report::ON_AIR, &word)));
             }
         }
     }
@@ -406,7 +418,7 @@ fn skipped(events: &[Event]) -> Vec<bool> {
                 *newer += 1;
                 *newer > AT_ONCE
             }
-            Event::Skipped(..) | Event::Books(..) => false,
+            Event::Skipped(..) | Event::Books(..) | Event::OnAir(..) => false,
         })
         .collect();
     skipped.reverse();
@@ -512,6 +524,7 @@ mod tests {
                 Event::Arrived(from, message, _) => format!("{from} {} {}", message.kind, message.seq),
                 Event::Skipped(from, _) => format!("{from} skipped"),
                 Event::Books(from, _) => format!("{from} books"),
+                Event::OnAir(from, _) => format!("{from} on air"),
             })
             .collect();
         let mut expected = vec!["rsu1 books".to_string()];

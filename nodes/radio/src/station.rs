@@ -1,10 +1,12 @@
 //! An agent among its peers: what goes out to each, and what came in, without socket or clock.
 
+mod air;
 mod peer;
 
 use std::collections::{BTreeMap, VecDeque};
 
 use bytes::Bytes;
+use realo_schemas::report::OnAir;
 use realo_schemas::{Kind, Name, Nanos};
 
 use crate::books::{Heard, News, Sent};
@@ -12,6 +14,7 @@ use crate::offset::{Estimate, Offset, Said};
 use crate::protocol::{Arrived, FrameError, Offer, Receiver, ReceiverCounts, Sender, Settings};
 use crate::refusal::{Refusal, Refusals};
 use crate::seal::{SEAL_BYTES, Seal};
+use air::Air;
 use peer::{Peer, note};
 
 const MS: Nanos = 1_000_000;
@@ -104,6 +107,8 @@ pub enum Event {
     Skipped(Name, MessageId),
     /// What became of messages of a peer.
     Books(Name, News),
+    /// What became of bulk of this agent on the way to a peer.
+    OnAir(Name, OnAir),
 }
 
 /// Which message of a peer it is.
@@ -206,6 +211,7 @@ impl Station {
     pub fn offer(&mut self, offer: &Offer) {
         for peer in self.peers.values_mut().filter(|peer| peer.is_up) {
             peer.sent.offered(offer.kind, offer.seq, offer.bytes.len());
+            peer.air.offered(offer);
             peer.sender.offer(offer.clone());
         }
     }
@@ -300,6 +306,8 @@ impl Station {
             let mut news = News::default();
             peer.heard.settle(Some(now.steady), &mut news);
             note(&mut self.events, name, news);
+            let words = peer.air.take().into_iter();
+            self.events.extend(words.map(|word| Event::OnAir(name.clone(), word)));
         }
         std::mem::take(&mut self.events)
     }
@@ -377,6 +385,7 @@ impl Station {
                 heard_at: now.steady,
                 sender: Sender::new(self.settings.clone(), self.session),
                 sent: Sent::default(),
+                air: Air::default(),
                 receiver: Receiver::new(self.largest),
                 heard: Heard::new(name.clone(), self.name.clone()),
                 session: 0,

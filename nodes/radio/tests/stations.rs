@@ -204,6 +204,7 @@ impl World {
                     let account = self.accounts.entry((agent, from)).or_default();
                     assert!(account.arrived.insert((kind, seq)), "given twice");
                 }
+                Event::OnAir(..) => {}
                 Event::Books(from, news) => {
                     let account = self.accounts.entry((agent, from)).or_default();
                     account.sent += news.traffic.values().map(|traffic| traffic.sent).sum::<u64>();

@@ -10,7 +10,7 @@
 //! is unknown then is out of range too, and the counter `unplaced` says how many they were. There is always a gate; a
 //! `range_m` as large as the map lets everything through that is placed.
 //!
-//! **Profiles** are TOML or YAML files; `perfect` (default: everything arrives at once) and `paper` are built in:
+//! **Profiles** are TOML or YAML files; `perfect` (default: everything arrives at once), `paper` and `cv2x-measured` are built in:
 //! ```toml
 //! about = "A shared 20 Mbit/s channel"  # one line
 //! [default]                      # for kinds without a table of their own; all keys may be left out
@@ -27,6 +27,10 @@
 //! queue_ms = 100.0               # a packet that would wait longer for those before it is lost
 //! half_duplex = true             # all ways between agents are one; false: each for itself
 //! ```
+//! **What a sender is told.** For each packet to the ego the output `on_air` says when it had left its sender, and no more than that
+//! sender's own radio knows: the packet's bytes and time on the channel, how busy the channel was since the one before, or that the
+//! queue was full. Without a channel bytes take no time.
+//!
 //! # Draws
 //! A draw depends on seed, sender, receiver, kind and seq of the message and on its own number, so no order of events
 //! changes it. All words have 64 bits, are read little endian and wrap around.

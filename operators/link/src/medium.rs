@@ -35,7 +35,18 @@ pub struct Medium {
     half_duplex: bool,
     /// When the first packet came.
     begin: Option<Nanos>,
-    taken: BTreeMap<Way, Nanos>,
+    taken: BTreeMap<Way, Taken>,
+    /// By way and sender: the way when the sender's last packet had crossed.
+    heard: BTreeMap<(Way, Name), Taken>,
+}
+
+/// How far a way is taken.
+#[derive(Clone, Copy, Debug)]
+struct Taken {
+    /// Until when, ns.
+    until: Nanos,
+    /// Time that packets took on it until then, ns.
+    busy: Nanos,
 }
 
 /// How a packet got through.
@@ -43,6 +54,12 @@ pub struct Medium {
 pub struct Passed {
     /// From when it was sent until its last bit had crossed, ns.
     pub delay: Nanos,
+    /// From when it was sent until it had left its sender, ns: `delay` without what the phase adds.
+    pub left: Nanos,
+    /// Time that its own bits took, ns.
+    pub air: Nanos,
+    /// Since its sender's packet before it had crossed, and the part of that in which the way was taken, ns.
+    pub since: Option<[Nanos; 2]>,
     /// Probability that it is lost, beside that of its kind.
     pub loss: f64,
 }
@@ -56,6 +73,7 @@ impl Medium {
             half_duplex: channel.half_duplex,
             begin: None,
             taken: BTreeMap::new(),
+            heard: BTreeMap::new(),
         }
     }
 
@@ -63,16 +81,27 @@ impl Medium {
     pub fn pass(&mut self, from: &Name, to: &Name, sent: Nanos, bytes: usize) -> Option<Passed> {
         let begin = *self.begin.get_or_insert(sent);
         let way = (!self.half_duplex).then(|| (from.clone(), to.clone()));
-        let free = self.taken.get(&way).copied().unwrap_or(sent).max(sent);
+        let taken = self.taken.get(&way).copied().unwrap_or(Taken { until: sent, busy: 0 });
+        let free = taken.until.max(sent);
         if free - sent > self.queue {
             return None;
         }
         let crossed = self.crossed(free.saturating_sub(begin), bytes).saturating_add(begin);
-        self.taken.insert(way, crossed);
+        let air = crossed.saturating_sub(free);
+        let taken = Taken {
+            until: crossed,
+            busy: taken.busy.saturating_add(air),
+        };
+        self.taken.insert(way.clone(), taken);
+        let before = self.heard.insert((way, from.clone()), taken);
+        let since = before.map(|before| [crossed.saturating_sub(before.until), taken.busy - before.busy]);
         let phase = self.phases[self.phase_at(crossed.saturating_sub(begin))];
         let more = (phase.delay_ms * 1e6).round() as Nanos;
         Some(Passed {
             delay: crossed.saturating_add(more) - sent,
+            left: crossed - sent,
+            air,
+            since,
             loss: phase.loss,
         })
     }
@@ -189,6 +218,39 @@ mod tests {
         let mut pass = |sent: Nanos| medium.pass(&"a".into(), &"b".into(), sent * MS, 1000).unwrap();
         assert_eq!((pass(0).delay, pass(0).loss), (4 * MS, 0.25));
         assert_eq!((pass(9).delay, pass(30).loss), (8 * MS + MS * 5 / 2, 0.25));
+    }
+
+    #[test]
+    fn three_senders_of_the_measured_channel_have_6_7_kilobytes_each_per_100_ms() {
+        let profile = crate::Profile::load("cv2x-measured").unwrap();
+        let mut medium = Medium::new(profile.channel.as_ref().unwrap());
+        let senders = ["cav2", "rsu1", "rsu2"];
+        let mut frame = |at_ms: Nanos, bytes: usize| {
+            let pass = |from: &str| medium.pass(&from.into(), &"cav1".into(), at_ms * MS, bytes);
+            senders.map(pass).map(|passed| passed.map(|passed| passed.delay))
+        };
+        let third = 1_600_000 / 8 / 10 / 3;
+        assert_eq!(third, 6666);
+        for n in 0..20 {
+            let last = frame(100 * n, third)[2].unwrap();
+            assert!((99 * MS..=100 * MS).contains(&last), "frame {n}: {last}");
+        }
+        // A tenth more piles up until the queue is full.
+        let lost = (20..60).flat_map(|n| frame(100 * n, third * 11 / 10)).filter(Option::is_none);
+        assert!((5..20).contains(&lost.count()));
+    }
+
+    #[test]
+    fn a_sender_knows_its_own_time_on_the_channel_and_how_busy_it_was() {
+        let mut medium = medium(vec![phase(0, 1_000_000)], None, true);
+        let mut known = |from: &str, sent: Nanos| {
+            let passed = medium.pass(&from.into(), &"c".into(), sent * MS, 1000).unwrap();
+            (passed.air / MS, passed.since.map(|since| since.map(|time| time / MS)))
+        };
+        assert_eq!(known("a", 0), (8, None));
+        assert_eq!(known("b", 0), (8, None));
+        assert_eq!(known("a", 100), (8, Some([100, 16])), "its own packet and that of the other");
+        assert_eq!(known("b", 50), (8, Some([100, 16])), "behind the first");
     }
 
     proptest! {

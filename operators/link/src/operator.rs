@@ -1,8 +1,8 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings, StreamKey};
-use realo_schemas::report::{Fate, Traffic};
-use realo_schemas::{AgentState, Header, Name, Nanos, Packet};
+use realo_schemas::report::{Fate, ON_AIR, OnAir, Traffic, to_report};
+use realo_schemas::{AgentState, Header, Kind, Name, Nanos, Packet, Report};
 use serde::{Deserialize, Serialize};
 
 use crate::{Arrivals, Medium, Model, Passed, Profile, transmit};
@@ -10,7 +10,7 @@ use crate::{Arrivals, Medium, Model, Passed, Profile, transmit};
 /// Settings of the link.
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 pub struct Settings {
-    /// Channel model: `perfect`, `paper`, a .toml or .yml file, or settings: `delay_ms=90,loss=0.05`.
+    /// Channel model: `perfect`, `paper`, `cv2x-measured`, a .toml or .yml file, or settings: `delay_ms=90,loss=0.05`.
     #[setting(default = "perfect", role = "link", path)]
     pub profile: String,
     /// Max distance in (x, y) over which packets are sent, m; inclusive.
@@ -154,6 +154,9 @@ pub enum Output {
     /// The ego's packets, a copy for each other agent that is known.
     #[port(of(EgoReceived))]
     ToOthers(Header, Packet),
+    /// Topic `on_air`: to each of the others when a packet of it had crossed, and how busy the channel was.
+    #[port(of(Others))]
+    OnAir(Header, Report),
 }
 
 impl Link {
@@ -238,19 +241,36 @@ impl Link {
         Some(dx * dx + dy * dy <= self.range_m * self.range_m)
     }
 
-    /// When a packet of so many bytes arrives, after it was sent.
-    fn arrivals(&mut self, sent: Nanos, header: &Header, to: &Name, bytes: usize) -> Arrivals {
+    /// When a packet of so many bytes arrives, after it was sent; when it has left its sender, and what the sender knows then.
+    fn arrivals(&mut self, sent: Nanos, header: &Header, to: &Name, bytes: usize) -> (Arrivals, Nanos, OnAir) {
+        let on_air = OnAir {
+            bytes: bytes as u64,
+            ..OnAir::default()
+        };
         let from = &header.agent;
         let draws = self.key.draws(from, to, header.kind, header.seq);
         let model = self.profile.model(header.kind);
         let Some(medium) = &mut self.medium else {
-            return transmit(model, bytes, draws);
+            return (transmit(model, bytes, draws), 0, on_air);
         };
-        let Some(Passed { delay, loss }) = medium.pass(from, to, sent, bytes) else {
-            return Arrivals {
+        let Some(passed) = medium.pass(from, to, sent, bytes) else {
+            let lost = Arrivals {
                 first: None,
                 second: None,
             };
+            let dropped = OnAir {
+                dropped: true,
+                ..on_air
+            };
+            return (lost, 0, dropped);
+        };
+        let Passed { delay, loss, .. } = passed;
+        let [span_ns, busy_ns] = passed.since.unwrap_or_default();
+        let on_air = OnAir {
+            air_ns: passed.air,
+            span_ns,
+            busy_ns,
+            ..on_air
         };
         let model = Model {
             loss: 1.0 - (1.0 - model.loss) * (1.0 - loss),
@@ -258,10 +278,11 @@ impl Link {
         };
         let Arrivals { first, second } = transmit(&model, bytes, draws);
         let later = |arrival: Nanos| arrival.saturating_add(delay);
-        Arrivals {
+        let arrivals = Arrivals {
             first: first.map(later),
             second: second.map(later),
-        }
+        };
+        (arrivals, passed.left, on_air)
     }
 
     fn carry(
@@ -289,8 +310,16 @@ impl Link {
             };
             return out.carried(from, to, header.kind, traffic);
         }
-        let arrivals = self.arrivals(*sent, header, to, packet.bytes.len());
+        let (arrivals, left, on_air) = self.arrivals(*sent, header, to, packet.bytes.len());
         let Arrivals { first, second } = arrivals;
+        if self.ego.as_ref() == Some(to) {
+            let header = Header {
+                kind: Kind::Report,
+                ready: sent.saturating_add(left),
+                ..header.clone()
+            };
+            out.send(Output::OnAir(header, to_report(ON_AIR, &on_air)));
+        }
         let traffic = Traffic {
             sent: 1,
             bytes: packet.bytes.len() as u64,

@@ -14,6 +14,7 @@ use crate::medium::Phase;
 pub const BUILT_IN: &[(&str, &str)] = &[
     ("perfect", include_str!("../profiles/perfect.toml")),
     ("paper", include_str!("../profiles/paper.toml")),
+    ("cv2x-measured", include_str!("../profiles/cv2x-measured.toml")),
 ];
 
 /// No delay in a profile may be greater, ms.
@@ -424,6 +425,8 @@ mod tests {
         let paper = Profile::load("paper").unwrap();
         let fixed: Vec<f64> = CARRIED.iter().map(|kind| paper.model(*kind).fixed_ms).collect();
         assert_eq!(fixed, [144.2, 41.7, 10.0, 10.0]);
+        let measured = Profile::load("cv2x-measured").unwrap().channel.unwrap();
+        assert_eq!((measured.phases[0].bits_per_second, measured.half_duplex), (1_600_000, true));
         assert!(
             BUILT_IN
                 .iter()
@@ -539,7 +542,7 @@ mod tests {
         }
         let error = Profile::load("papr").unwrap_err().to_string();
         assert!(
-            error.contains("did you mean `paper`") && error.contains("perfect, paper"),
+            error.contains("did you mean `paper`") && error.contains("perfect, paper, cv2x-measured"),
             "{error}"
         );
         let error = Profile::load("no/such.toml").unwrap_err().to_string();

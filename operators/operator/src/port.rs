@@ -105,6 +105,9 @@ pub struct Port {
     pub ends_early: bool,
     /// Inputs of a graph that say the same word here hang on one wire.
     pub wire: Option<&'static str>,
+    /// Whether it brings word of what the stage itself sent: the order of a graph does not go along its wire, and the stage ends
+    /// without waiting for it (inputs).
+    pub feedback: bool,
 }
 
 impl Port {
@@ -123,6 +126,7 @@ impl Port {
             side: None,
             ends_early: false,
             wire: None,
+            feedback: false,
         }
     }
 
@@ -191,6 +195,14 @@ impl Port {
     /// end: what would come later stays on its way.
     pub const fn ends_early(mut self) -> Self {
         self.ends_early = true;
+        self
+    }
+
+    /// May stay unwired, and brings word of what the stage itself sent: its wire closes a circle. What comes after the stage's other
+    /// inputs have ended is dropped.
+    pub const fn feedback(mut self) -> Self {
+        self.required = false;
+        self.feedback = true;
         self
     }
 

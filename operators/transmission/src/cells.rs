@@ -3,19 +3,59 @@
 use std::cmp::Ordering;
 
 use arrow::buffer::{Buffer, MutableBuffer};
-use realo_schemas::FeatureMap;
+use realo_schemas::geometry::{bottom_corners, footprint_contains};
+use realo_schemas::{Box3, FeatureMap};
 
 use crate::error::{DecodeError, EncodeError};
 
 /// Largest code of a confidence.
 const GREATEST: f32 = 255.0;
 
-/// Numbers of the cells of a map that are at least so sure, the surest first.
+/// What crosses beside a map, and says of some cells what they hold.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Covering<'a> {
+    /// Boxes in the frame of the map.
+    pub boxes: &'a [Box3],
+    /// What the confidence of a cell under a box of score 1 counts, of 1.
+    pub covered: f32,
+}
+
+impl Covering<'_> {
+    /// What the confidence of each cell of a map counts, of 1: less, the surer the surest box is that covers its centre.
+    fn weights(&self, map: &FeatureMap) -> Vec<f32> {
+        let [rows, columns] = [map.rows, map.columns].map(|count| count as usize);
+        let mut weights = vec![1.0f32; rows * columns];
+        let cell_at = |place: f64, axis: usize, count: usize| {
+            (((place - map.origin[axis]) / map.cell).floor().max(0.0) as usize).min(count)
+        };
+        for object in self.boxes {
+            let weight = 1.0 - object.score.clamp(0.0, 1.0) * (1.0 - self.covered);
+            let corners = bottom_corners(object);
+            let span = |axis: usize, count: usize| {
+                let places = corners.iter().map(|corner| corner[axis]);
+                let (min, max) = places.fold((f64::MAX, f64::MIN), |(min, max), place| (min.min(place), max.max(place)));
+                cell_at(min, axis, count)..(cell_at(max, axis, count) + 1).min(count)
+            };
+            for row in span(1, rows) {
+                for column in span(0, columns) {
+                    let centre = |axis: usize, index: usize| map.origin[axis] + (index as f64 + 0.5) * map.cell;
+                    if footprint_contains(object, [centre(0, column), centre(1, row)]) {
+                        let known = &mut weights[row * columns + column];
+                        *known = known.min(weight);
+                    }
+                }
+            }
+        }
+        weights
+    }
+}
+
+/// Numbers of the cells of a map that are at least so sure, those first that count most: the surest, where nothing covers them.
 ///
 /// # Errors
 /// [`EncodeError::NoConfidence`] of a map that does not tell how sure it is, [`EncodeError::Length`] of one that does not tell it
 /// of each cell.
-pub(crate) fn ranked(map: &FeatureMap, min: f32) -> Result<Vec<u32>, EncodeError> {
+pub(crate) fn ranked(map: &FeatureMap, min: f32, covering: Option<Covering>) -> Result<Vec<u32>, EncodeError> {
     let confidence = map.confidence.as_ref().ok_or(EncodeError::NoConfidence)?;
     let cells = map.rows as usize * map.columns as usize;
     if confidence.len() != cells {
@@ -30,8 +70,13 @@ pub(crate) fn ranked(map: &FeatureMap, min: f32) -> Result<Vec<u32>, EncodeError
         confidence > 0.0 && confidence >= min
     });
     let mut sure: Vec<u32> = sure.collect();
+    let weights = covering.map(|covering| covering.weights(map));
+    let counts = |cell: u32| {
+        let weight = weights.as_ref().map_or(1.0, |weights| weights[cell as usize]);
+        confidence[cell as usize] * weight
+    };
     let order = |a: &u32, b: &u32| -> Ordering {
-        let [of_a, of_b] = [a, b].map(|cell| confidence[*cell as usize]);
+        let [of_a, of_b] = [a, b].map(|cell| counts(*cell));
         of_b.total_cmp(&of_a).then(a.cmp(b))
     };
     sure.sort_unstable_by(order);
@@ -150,10 +195,38 @@ mod tests {
     }
 
     #[test]
+    fn cells_under_sure_boxes_count_less() {
+        let object = |x: f64, score: f32| Box3 {
+            center: [x, 0.8, 0.0],
+            length: 1.6,
+            width: 1.6,
+            height: 1.0,
+            yaw: 0.0,
+            velocity: None,
+            class: "vehicle".into(),
+            score,
+            track: None,
+            covariance: None,
+        };
+        // A sure box over columns 0 and 1, an unsure one over 2 and 3, nothing over 4; one far away.
+        let boxes = [object(0.8, 1.0), object(2.4, 0.5), object(-50.0, 1.0)];
+        let of = [0.9, 0.9, 0.6, 0.5, 0.4, 0.9, 0.9, 0.6, 0.5, 0.05];
+        let order = |covered: f32| {
+            let covering = Covering { boxes: &boxes, covered };
+            ranked(&map(&of), 0.0, Some(covering)).unwrap()
+        };
+        assert_eq!(order(1.0), ranked(&map(&of), 0.0, None).unwrap());
+        // By what counts: 0.4; 0.3; 0.25; 0.05; 0.
+        assert_eq!(order(0.0), [4, 2, 7, 3, 8, 9, 0, 1, 5, 6]);
+        let held_back = ranked(&map(&of), 0.5, Some(Covering { boxes: &boxes, covered: 0.0 }));
+        assert_eq!(held_back.unwrap().len(), 8, "the min is of the confidence itself");
+    }
+
+    #[test]
     fn the_surest_come_first_and_what_is_not_sure_does_not_come() {
         let of = [0.1, 0.9, f32::NAN, 0.5, 0.0, 0.5, 0.2, -1.0, 0.04, 1.0];
-        assert_eq!(ranked(&map(&of), 0.1).unwrap(), [9, 1, 3, 5, 6, 0]);
-        assert_eq!(ranked(&map(&of), 0.0).unwrap().len(), 7, "0 is no cell");
+        assert_eq!(ranked(&map(&of), 0.1, None).unwrap(), [9, 1, 3, 5, 6, 0]);
+        assert_eq!(ranked(&map(&of), 0.0, None).unwrap().len(), 7, "0 is no cell");
         let chosen = gathered(&map(&of), &[3, 9]);
         assert_eq!(
             (chosen.size(), chosen.data.as_slice()),
@@ -164,13 +237,13 @@ mod tests {
             ..map(&of)
         };
         assert!(
-            ranked(&unknown, 0.1)
+            ranked(&unknown, 0.1, None)
                 .unwrap_err()
                 .to_string()
                 .contains("confidence=true")
         );
         let short = FeatureMap { columns: 6, ..map(&of) };
-        let error = ranked(&short, 0.1).unwrap_err().to_string();
+        let error = ranked(&short, 0.1, None).unwrap_err().to_string();
         assert!(error.contains("40 bytes of data, its dimensions say 48"), "{error}");
     }
 

@@ -5,6 +5,7 @@ use realo_operator::{StageSettings, Steps};
 use realo_schemas::{Header, Kind, Message, Packet, Payload};
 
 use crate::bytes::Reader;
+use crate::cells::Covering;
 use crate::cpm::{self, Geodetic, Unused};
 use crate::encoder::BoxesLayout;
 use crate::envelope::Envelope;
@@ -141,6 +142,17 @@ impl Encoder {
     /// # Errors
     /// [`EncodeError`] if no link carries the payload, or a number or length in it cannot be sent.
     pub fn encode(&mut self, message: &Message, steps: &mut Steps) -> Result<(Packet, Dropped), EncodeError> {
+        self.encode_beside(message, None, None, steps)
+    }
+
+    /// The same of a map with a budget of its own, whose cells are chosen by what crosses beside it.
+    pub(crate) fn encode_beside(
+        &mut self,
+        message: &Message,
+        budget: Option<usize>,
+        covering: Option<Covering>,
+        steps: &mut Steps,
+    ) -> Result<(Packet, Dropped), EncodeError> {
         let (header, payload) = (&message.header, &message.payload);
         let refused = || EncodeError::Content {
             payload: payload.payload_type().as_str(),
@@ -168,7 +180,7 @@ impl Encoder {
                 dropped.points = not_finite;
             }
             Payload::FeatureMap(map) => {
-                let written = self.features.write(&mut out, map, steps)?;
+                let written = self.features.write(&mut out, map, budget, covering, steps)?;
                 codec.extend(written.coding.steps().map(String::from));
                 (dropped.range, dropped.cells) = (written.beyond, written.left_out);
             }

@@ -7,7 +7,7 @@ use zstd::bulk::{Compressor, Decompressor};
 
 use crate::EncoderSettings;
 use crate::bytes::{Reader, column, put_column, put_f64s, put_text};
-use crate::cells::{self, Chosen};
+use crate::cells::{self, Chosen, Covering};
 use crate::compression::{compress, decompress};
 use crate::elements::{Scales, are_finite, from_f16, not_finite, to_f16};
 use crate::error::{DecodeError, EncodeError};
@@ -102,14 +102,21 @@ impl Writer {
         })
     }
 
-    /// Writes a map, behind what stands in `out` already.
-    pub fn write(&mut self, out: &mut Vec<u8>, map: &FeatureMap, steps: &mut Steps) -> Result<Written, EncodeError> {
+    /// Writes a map, behind what stands in `out` already; `budget`: bytes that this packet may take in place of those of the settings.
+    pub fn write(
+        &mut self,
+        out: &mut Vec<u8>,
+        map: &FeatureMap,
+        budget: Option<usize>,
+        covering: Option<Covering>,
+        steps: &mut Steps,
+    ) -> Result<Written, EncodeError> {
         check(map)?;
         let Some(choice) = self.choice else {
             return self.write_cells(out, map, None, steps);
         };
-        let ranked = steps.time("selection", || cells::ranked(map, choice.min_confidence))?;
-        match choice.budget {
+        let ranked = steps.time("selection", || cells::ranked(map, choice.min_confidence, covering))?;
+        match budget.or(choice.budget) {
             None => self.write_cells(out, map, Some(&ranked), steps),
             Some(budget) => self.write_within(budget, out, map, &ranked, steps),
         }

@@ -64,6 +64,7 @@
 
 mod agent_state;
 mod boxes;
+mod budget;
 mod bytes;
 mod cells;
 mod codec;
@@ -78,6 +79,7 @@ mod features;
 mod points;
 mod shuffle;
 
+pub use budget::Budget;
 pub use codec::{CODEC, Content, Decoder, Dropped, Encoder};
 pub use decoder::{Settings as DecoderSettings, TransmissionDecoder};
 pub use encoder::{BoxesLayout, Settings as EncoderSettings, TransmissionEncoder};

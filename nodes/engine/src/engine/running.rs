@@ -46,10 +46,11 @@ impl Running {
         let registration = wired.registration;
         let fed: Vec<bool> = wired.inputs.iter().map(Option::is_some).collect();
         let outputs = registration.outputs.len();
+        let awaited = fed.iter().zip(registration.inputs).filter(|(fed, port)| **fed && !port.feedback);
         Running {
             stage: Stage::new(wired.id.clone(), registration),
             ends_early: false,
-            open_inputs: fed.iter().filter(|fed| **fed).count(),
+            open_inputs: awaited.count(),
             intake: Intake::new(registration.inputs, fed),
             busy: BTreeMap::new(),
             wakes: BTreeSet::new(),

@@ -24,7 +24,11 @@ impl Engine {
     pub(super) fn arrive(&mut self, stage: usize, port: PortId, message: Message) -> Result<(), EngineError> {
         let server = self.server_of(&message);
         let running = &mut self.stages[stage];
-        let admitted = running.stage.registration.inputs[port.0].admit(&message);
+        let input = &running.stage.registration.inputs[port.0];
+        if input.feedback && running.life != Life::Open {
+            return Ok(());
+        }
+        let admitted = input.admit(&message);
         admitted.map_err(|wrong| EngineError::Type {
             node: running.stage.id.to_string(),
             wrong,

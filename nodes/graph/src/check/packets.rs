@@ -97,11 +97,15 @@ impl<'a> Wires<'a> {
         let carried = |port: &&Port| is_packet(port) && carries(port, stage, output);
         let carried: Vec<&Port> = stage.inputs.iter().filter(carried).collect();
         if carried.is_empty() {
-            let mut wired = stage.inputs.iter().filter_map(|port| node.inputs.get(port.name));
-            let (source, output) = wired.next()?.output()?;
-            packed
-                .kinds
-                .insert(kind_of(self.graph.node(source)?.output_types.get(output))?);
+            // Each of its messages becomes a packet, but for feedback.
+            let messages = stage.inputs.iter().filter(|port| !port.feedback);
+            let mut wired = messages.filter_map(|port| node.inputs.get(port.name)).peekable();
+            wired.peek()?;
+            for input in wired {
+                let (source, output) = input.output()?;
+                let kind = kind_of(self.graph.node(source)?.output_types.get(output))?;
+                packed.kinds.insert(kind);
+            }
             packed.by.insert(node.id.clone());
             return Some(());
         }

@@ -58,7 +58,7 @@ impl Shared {
     pub(super) fn keep(&mut self, events: Vec<Event>) {
         let bytes = |event: &Event| match event {
             Event::Arrived(_, message, _) => message.bytes.len(),
-            Event::Skipped(..) | Event::Books(..) => 0,
+            Event::Skipped(..) | Event::Books(..) | Event::OnAir(..) => 0,
         };
         self.event_bytes += events.iter().map(bytes).sum::<usize>();
         self.events.extend(events);

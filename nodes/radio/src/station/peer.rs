@@ -5,6 +5,7 @@ use std::collections::VecDeque;
 use bytes::Bytes;
 use realo_schemas::{Name, Nanos};
 
+use super::air::Air;
 use super::{Event, FIRST_QUESTIONS, MessageId, Moment, QUESTIONS, SHEETS, Topic, UNPLACED};
 use crate::books::{Heard, News, Sent, Sheet};
 use crate::offset::{Exchange, Offset, Said};
@@ -18,6 +19,7 @@ pub(super) struct Peer {
     pub heard_at: Nanos,
     pub sender: Sender,
     pub sent: Sent,
+    pub air: Air,
     pub receiver: Receiver,
     pub heard: Heard,
     /// Its newest session that was heard of, 0 before: with each its time line may be another.
@@ -64,7 +66,7 @@ impl Peer {
             }
             Frame::Acknowledgement(ack) => {
                 self.sender.acknowledged(&ack, now.steady);
-                self.sent.reported(&self.sender.take_reported());
+                self.settle(now.steady);
             }
         }
         Ok(())
@@ -176,6 +178,13 @@ impl Peer {
         self.offset.said(log, now.said(), said);
     }
 
+    /// Takes down what left the sender's hands.
+    fn settle(&mut self, now: Nanos) {
+        let reported = self.sender.take_reported();
+        self.air.reported(&reported, self.sender.window().round_trip(), now);
+        self.sent.reported(&reported);
+    }
+
     pub(super) fn next(&mut self, now: Moment, session: u64) -> Option<(Topic, Bytes)> {
         if let Some(outgoing) = self.outgoing.pop_front() {
             return Some(outgoing);
@@ -206,8 +215,9 @@ impl Peer {
                 return Some((Topic::Books, bytes.into()));
             }
         }
+        self.air.looked(now.steady);
         let frame = self.sender.next(now.steady);
-        self.sent.reported(&self.sender.take_reported());
+        self.settle(now.steady);
         frame.map(|frame| {
             let topic = match &frame {
                 Frame::Part(head, _) if is_bulk(head.kind) => Topic::Bulk,

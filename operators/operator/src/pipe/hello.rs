@@ -167,6 +167,7 @@ fn leaked_ports(ports: Vec<Declared>) -> &'static [Port] {
         side: port.words.lane,
         ends_early: false,
         wire: port.words.wire.as_deref().map(leaked),
+        feedback: false,
     });
     Box::leak(ports.collect())
 }

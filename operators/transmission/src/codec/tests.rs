@@ -112,6 +112,9 @@ fn messages() -> Vec<Message> {
 
 /// Everything crosses as it is.
 const ALL: EncoderSettings = EncoderSettings {
+    follow: false,
+    detected: false,
+    covered: 1.0,
     time: true,
     ring: true,
     step_m: 0.0,
