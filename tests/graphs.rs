@@ -522,6 +522,97 @@ fn the_shipped_v2xvit_sees_more_with_others_than_the_detector_alone_whoever_proj
     }
 }
 
+/// Books of a kind from `rsu1`.
+fn books(result: &Value, kind: &str, term: &str) -> u64 {
+    let books = &result["links"]["rsu1-cav1"][kind];
+    books[term].as_u64().unwrap_or_else(|| panic!("{term} in {books}"))
+}
+
+#[test]
+fn boxes_and_cells_share_a_budget_and_see_more_than_boxes_alone() {
+    let log = shared();
+    let within = [
+        "--ego",
+        "cav1",
+        "--offline",
+        "--set",
+        "others.sender.follow=false",
+        "--set",
+        "others.sender.budget_bytes=6700",
+    ];
+    let result = run_virtual("hybrid_cells", "hybrid_features", &log, &within);
+    let frames = books(&result, "boxes", "sent");
+    assert_eq!(
+        (books(&result, "boxes", "used"), books(&result, "boxes", "rejected")),
+        (frames, 0)
+    );
+    assert!(books(&result, "features", "used") >= 8);
+    let bytes = books(&result, "boxes", "bytes") + books(&result, "features", "bytes");
+    assert!(
+        (5_000 * frames..=6_700 * frames).contains(&bytes),
+        "{bytes} in {frames} frames"
+    );
+    let alone = run_virtual("hybrid_alone", "no_fusion", &log, &["--ego", "cav1", "--offline"]);
+    let [together, alone] = [&result, &alone].map(|result| {
+        let all = precisions(result);
+        all.iter().sum::<f64>() / all.len() as f64
+    });
+    assert!(together > alone + 0.02, "{together}, alone {alone}");
+}
+
+#[test]
+fn hybrid_features_keep_within_a_shared_channel() {
+    let args = "--seed 912 --seconds 5 --agents cav1,cav2,rsu1,rsu2";
+    let log = simulated("crowded_channel", &args.split(' ').collect::<Vec<_>>());
+    let result = run_virtual(
+        "hybrid_shared",
+        "hybrid_features",
+        &log,
+        &["--ego", "cav1", "--link", "cv2x-measured"],
+    );
+    let (mut bytes, mut lost) = (0, 0);
+    for books in result["links"].as_object().expect("links").values() {
+        for kind in ["boxes", "features"] {
+            bytes += books[kind]["bytes"].as_u64().unwrap_or(0);
+            lost += books[kind]["lost"].as_u64().unwrap_or(0);
+        }
+    }
+    let frames = result["frames"]["total"].as_u64().expect("frames");
+    let share = bytes as f64 / (20_000 * frames) as f64;
+    assert!((0.6..=1.0).contains(&share), "{share} of the channel");
+    assert!(lost == 0, "{lost} were lost");
+    let age = result["age_ms"]["p95"].as_f64().expect("an age");
+    assert!(age < 200.0, "{age} ms");
+    let sender = &result["nodes"]["others.sender"]["counters"];
+    assert!(
+        sender["budgets"].as_u64() > Some(0) && sender["budget_bytes"].as_u64() > Some(0),
+        "{sender}"
+    );
+}
+
+#[test]
+fn hybrid_features_run_on_dora() {
+    decided(hybrid_features_on_dora);
+}
+
+fn hybrid_features_on_dora() {
+    let (log, out) = (shared(), folder("hybrid_realtime"));
+    let (log, dir) = (log.to_string_lossy().into_owned(), out.to_string_lossy().into_owned());
+    let graph = graph("hybrid_features");
+    realo_ok([
+        "run", &graph, "--log", &log, "--out", &dir, "--rate", "0.1", "--ego", "cav1",
+    ]);
+    let result = json(&out.join("result.json"));
+    assert_eq!(result["complete"], true);
+    for kind in ["boxes", "features"] {
+        assert!(books(&result, kind, "used") >= 7, "{}", result["links"]);
+    }
+    // A perfect link: its words have the budget grow from its first 2,000 bytes to the max.
+    let counters = &result["nodes"]["others.sender"]["counters"];
+    let mean = counters["budget_bytes"].as_f64().expect("bytes") / counters["budgets"].as_f64().expect("frames");
+    assert!(mean > 30_000.0, "{counters}");
+}
+
 #[test]
 fn features_cross_on_dora_and_their_steps_are_timed() {
     decided(features_on_dora);

@@ -88,7 +88,7 @@ fn late_fusion_over_zenoh() {
 /// What the vehicle finds with others' points or maps that come over a link without limits, beside what its sister on one machine finds
 /// over a perfect one. Two sweeps a second leave time to compute, so that ages are those of the log on any machine; the other agent's lie
 /// 76 ms behind the ego's, which fuses those before.
-fn assert_same_boxes(strategy: &str, projected_by: &str, sender: &[&str], banks: &[&str]) {
+fn assert_same_boxes(strategy: &str, projected_by: &str, sender: &[&str], roadside: &[&str], banks: &[&str]) {
     let _share = half();
     let args = "--seed 923 --seconds 5 --phase spread --key-hz 2 --key-sweeps-only --agents cav1,rsu1";
     let (log, port) = (
@@ -132,7 +132,8 @@ fn assert_same_boxes(strategy: &str, projected_by: &str, sender: &[&str], banks:
         let set = more.into_iter().chain(["v2x.clock_error_ms=0.001".into()]);
         set.collect::<Vec<String>>()
     };
-    let connects = of_radio([format!("v2x.connect=tcp/127.0.0.1:{port}"), "player.repeat=20".into()]);
+    let mut connects = of_radio([format!("v2x.connect=tcp/127.0.0.1:{port}"), "player.repeat=20".into()]);
+    connects.extend(roadside.iter().map(|setting| setting.to_string()));
     let _peer = Peer::spawn(run(&format!("{strategy}.roadside"), &far, &connects));
     let listens = of_radio([format!("v2x.listen=tcp/127.0.0.1:{port}"), "player.repeat=2".into()]);
     let vehicle = run(&format!("{strategy}.vehicle"), &near, &[listens, windows].concat());
@@ -162,7 +163,7 @@ fn early_fusion_over_zenoh_finds_what_a_perfect_link_finds() {
 }
 
 fn early_fusion_over_zenoh() {
-    assert_same_boxes("early_fusion", "receiver", &["sender.step_m=0.01"], &["fusion"]);
+    assert_same_boxes("early_fusion", "receiver", &["sender.step_m=0.01"], &[], &["fusion"]);
 }
 
 #[test]
@@ -172,7 +173,7 @@ fn attfuse_over_zenoh_finds_what_a_perfect_link_finds() {
 
 fn attfuse_over_zenoh() {
     let sender = ["encoder.confidence=true", "sender.budget_bytes=60000"];
-    assert_same_boxes("attfuse", "sender", &sender, &["fusion"]);
+    assert_same_boxes("attfuse", "sender", &sender, &[], &["fusion"]);
 }
 
 #[test]
@@ -185,7 +186,24 @@ fn hybrid_fusion_over_zenoh() {
         "hybrid_fusion",
         "receiver",
         &["sender.step_m=0.01"],
+        &[],
         &["fusion.points", "fusion.rest"],
+    );
+}
+
+#[test]
+fn hybrid_features_over_zenoh_find_what_a_perfect_link_finds() {
+    decided(hybrid_features_over_zenoh);
+}
+
+fn hybrid_features_over_zenoh() {
+    // A budget that follows the radio is not the same in every run.
+    assert_same_boxes(
+        "hybrid_features",
+        "sender",
+        &["sender.follow=false"],
+        &["others.sender.follow=false"],
+        &["fusion.cells", "fusion.rest"],
     );
 }
 

@@ -156,5 +156,8 @@ fn three_senders_of_the_measured_channel_get_about_6_7_kilobytes_each() {
         let last = sent.iter().rev().find(|sent| sent.sender == index).unwrap();
         assert!((5_200..6_667).contains(&last.bytes), "{last:?}");
     }
-    assert!(sent.iter().all(|sent| sent.delay.is_some()), "no packet was dropped on the way there");
+    assert!(
+        sent.iter().all(|sent| sent.delay.is_some()),
+        "no packet was dropped on the way there"
+    );
 }

@@ -64,6 +64,13 @@ static GATEWAY: Registration = stage(
     &[port("out"), port("states").ends_early()],
 );
 
+static HEARS: Registration = stage(
+    "hears",
+    Role::Operator,
+    &[port("in"), port("back").feedback()],
+    &[port("out")],
+);
+
 fn message(agent: &str, seq: u64, ready: Nanos) -> Message {
     let header = Header::origin(&"run".into(), &agent.into(), Kind::Boxes, seq, ready, ready);
     Message::new(header, Boxes::default())
@@ -309,6 +316,41 @@ fn an_instant_goes_by_class_then_port_then_agent_then_kind_then_number() {
         "10 s end",
     ];
     assert_eq!(rig.rest(), expected);
+}
+
+#[test]
+fn feedback_closes_a_circle_that_ends_with_the_other_inputs() {
+    let mut wiring = Wiring::default();
+    let added = wiring.add("hears", &HEARS, &[]);
+    let fed = added.and_then(|()| wiring.feed_from_outside("in"));
+    let relayed = fed.and_then(|_| wiring.add("relay", &RELAY, &[("in", "hears", "out")]));
+    let closed = relayed.and_then(|()| wiring.feed_back("hears", "back", "relay", "out"));
+    assert_eq!(closed, Ok(()));
+    assert_eq!(
+        wiring.feed_back("hears", "back", "nobody", "out"),
+        Err("no stage `nobody`".into())
+    );
+    let mut rig = Rig::new(&wiring, Servers::PerStream, |_, call, now| match call {
+        Call::Inputs(calls) if calls[0].0 == PortId(0) => Answer {
+            sent: vec![(0, message("a", calls[0].1.header.seq, now + 10))],
+            ..Answer::default()
+        },
+        _ => Answer::default(),
+    });
+    rig.give(0, message("a", 1, 0));
+    rig.give(0, message("a", 2, 100));
+    rig.engine.end_input(0, PortId(0), 0);
+    let expected = [
+        "0 hears in 0.a1",
+        "10 relay in 0.a1",
+        "20 hears back 1.a1",
+        "100 hears in 0.a2",
+        "100 hears end",
+        "110 relay in 0.a2",
+        "110 relay end",
+    ];
+    assert_eq!(rig.rest(), expected, "what comes back after its end is dropped");
+    assert!(rig.engine.is_done());
 }
 
 #[test]

@@ -117,6 +117,8 @@ impl FlatGraph {
 mod tests {
     use std::path::Path;
 
+    use realo_operator::{Port, Registration};
+
     use super::*;
     use crate::Graph;
 
@@ -148,6 +150,43 @@ mod tests {
         assert!(
             error.contains("lane > v2x > lane") || error.contains("v2x > lane > v2x"),
             "{error}"
+        );
+    }
+
+    #[test]
+    fn feedback_closes_no_cycle() {
+        static LOOP: Registration = Registration {
+            name: "loop",
+            about: "",
+            role: Role::Operator,
+            inputs: &[Port::new("in", &[], ""), Port::new("back", &[], "").feedback()],
+            outputs: &[Port::new("out", &[], "")],
+            settings: &[],
+            counters: &[],
+            defaults: Default::default,
+            check: |_| Ok(()),
+            examine: |_| Ok(()),
+            build: |_| Err("it is never built".into()),
+        };
+        let around = |port: &str| {
+            let text = format!(
+                "nodes: [{{id: link, path: x, inputs: {{p: lane/out}}, outputs: [o]}}, {{id: player, path: x, outputs: [o]}}, \
+                 {{id: lane, path: bin/realo, args: operator loop, inputs: {{{port}}}, outputs: [out]}}]"
+            );
+            graph(&text).ranks(&Registry(&[LOOP]))
+        };
+        assert_eq!(around("in: player/o, back: link/o").unwrap(), [2, 0, 1]);
+        assert!(
+            around("in: link/o, back: player/o")
+                .unwrap_err()
+                .to_string()
+                .contains("cycle")
+        );
+        assert!(
+            around("in: player/o, back: nobody/o")
+                .unwrap_err()
+                .to_string()
+                .contains("nobody")
         );
     }
 

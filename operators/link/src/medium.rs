@@ -236,7 +236,9 @@ mod tests {
             assert!((99 * MS..=100 * MS).contains(&last), "frame {n}: {last}");
         }
         // A tenth more piles up until the queue is full.
-        let lost = (20..60).flat_map(|n| frame(100 * n, third * 11 / 10)).filter(Option::is_none);
+        let lost = (20..60)
+            .flat_map(|n| frame(100 * n, third * 11 / 10))
+            .filter(Option::is_none);
         assert!((5..20).contains(&lost.count()));
     }
 
@@ -249,7 +251,11 @@ mod tests {
         };
         assert_eq!(known("a", 0), (8, None));
         assert_eq!(known("b", 0), (8, None));
-        assert_eq!(known("a", 100), (8, Some([100, 16])), "its own packet and that of the other");
+        assert_eq!(
+            known("a", 100),
+            (8, Some([100, 16])),
+            "its own packet and that of the other"
+        );
         assert_eq!(known("b", 50), (8, Some([100, 16])), "behind the first");
     }
 

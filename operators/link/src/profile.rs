@@ -426,7 +426,10 @@ mod tests {
         let fixed: Vec<f64> = CARRIED.iter().map(|kind| paper.model(*kind).fixed_ms).collect();
         assert_eq!(fixed, [144.2, 41.7, 10.0, 10.0]);
         let measured = Profile::load("cv2x-measured").unwrap().channel.unwrap();
-        assert_eq!((measured.phases[0].bits_per_second, measured.half_duplex), (1_600_000, true));
+        assert_eq!(
+            (measured.phases[0].bits_per_second, measured.half_duplex),
+            (1_600_000, true)
+        );
         assert!(
             BUILT_IN
                 .iter()

@@ -184,7 +184,10 @@ mod tests {
     #[test]
     fn no_word_makes_a_budget_above_the_max() {
         let mut budget = Budget::new(5_000);
-        for (frame, word) in [word(0, -5, 7), word(u64::MAX, 1, -9), word(1, i64::MAX / MS, 3)].into_iter().enumerate() {
+        for (frame, word) in [word(0, -5, 7), word(u64::MAX, 1, -9), word(1, i64::MAX / MS, 3)]
+            .into_iter()
+            .enumerate()
+        {
             budget.heard(&word, frame as Nanos * 100 * MS);
             assert!(budget.next((frame as Nanos * 100 + 50) * MS) <= 5_000);
         }

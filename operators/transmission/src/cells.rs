@@ -33,7 +33,9 @@ impl Covering<'_> {
             let corners = bottom_corners(object);
             let span = |axis: usize, count: usize| {
                 let places = corners.iter().map(|corner| corner[axis]);
-                let (min, max) = places.fold((f64::MAX, f64::MIN), |(min, max), place| (min.min(place), max.max(place)));
+                let (min, max) = places.fold((f64::MAX, f64::MIN), |(min, max), place| {
+                    (min.min(place), max.max(place))
+                });
                 cell_at(min, axis, count)..(cell_at(max, axis, count) + 1).min(count)
             };
             for row in span(1, rows) {
@@ -218,7 +220,14 @@ mod tests {
         assert_eq!(order(1.0), ranked(&map(&of), 0.0, None).unwrap());
         // By what counts: 0.4; 0.3; 0.25; 0.05; 0.
         assert_eq!(order(0.0), [4, 2, 7, 3, 8, 9, 0, 1, 5, 6]);
-        let held_back = ranked(&map(&of), 0.5, Some(Covering { boxes: &boxes, covered: 0.0 }));
+        let held_back = ranked(
+            &map(&of),
+            0.5,
+            Some(Covering {
+                boxes: &boxes,
+                covered: 0.0,
+            }),
+        );
         assert_eq!(held_back.unwrap().len(), 8, "the min is of the confidence itself");
     }
 

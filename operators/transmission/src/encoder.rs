@@ -229,7 +229,10 @@ impl TransmissionEncoder {
             }
             (_, fixed) => fixed,
         };
-        let crossed = sender.boxes.as_ref().filter(|crossed| crossed.header.seq == map.header.seq);
+        let crossed = sender
+            .boxes
+            .as_ref()
+            .filter(|crossed| crossed.header.seq == map.header.seq);
         let taken = crossed.map_or(0, |crossed| crossed.bytes);
         let boxes = crossed.map(|crossed| crossed.in_frame_of(&map.header));
         let covering = boxes.as_ref().map(|boxes| Covering {

@@ -47,7 +47,9 @@ pub enum EncodeError {
     #[error("setting `follow`: expected `budget_bytes`, the max of a budget that follows the link, found none")]
     NoMax,
     /// A word of something else than a sender's own packets.
-    #[error("input `on_air`: expected a report of topic `on_air`, found `{0}`: wire the output `on_air` of a link or radio")]
+    #[error(
+        "input `on_air`: expected a report of topic `on_air`, found `{0}`: wire the output `on_air` of a link or radio"
+    )]
     Topic(String),
     /// A channel that 255 finite steps do not span.
     #[error("feature map: channel {channel} goes from {min} to {most}, too far for int8: send it with `elements=f32`")]

@@ -46,7 +46,10 @@ impl Running {
         let registration = wired.registration;
         let fed: Vec<bool> = wired.inputs.iter().map(Option::is_some).collect();
         let outputs = registration.outputs.len();
-        let awaited = fed.iter().zip(registration.inputs).filter(|(fed, port)| **fed && !port.feedback);
+        let awaited = fed
+            .iter()
+            .zip(registration.inputs)
+            .filter(|(fed, port)| **fed && !port.feedback);
         Running {
             stage: Stage::new(wired.id.clone(), registration),
             ends_early: false,

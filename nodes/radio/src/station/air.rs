@@ -116,7 +116,11 @@ mod tests {
                 busy_ns,
             }
         };
-        let expected = [word(false, [30, 0, 0]), word(true, [0, 0, 0]), word(false, [30, 200, 30])];
+        let expected = [
+            word(false, [30, 0, 0]),
+            word(true, [0, 0, 0]),
+            word(false, [30, 200, 30]),
+        ];
         assert_eq!(air.take(), expected);
         assert_eq!(air.take(), []);
     }

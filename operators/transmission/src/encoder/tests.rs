@@ -28,7 +28,12 @@ fn map(agent: &str, seq: u64) -> Message {
         dtype: DType::F32,
         data: numbers.flat_map(f32::to_le_bytes).collect::<Vec<u8>>().into(),
         model: "m".into(),
-        confidence: Some((0..cells).map(|cell| 1.0 / (cell + 2) as f32).collect::<Vec<f32>>().into()),
+        confidence: Some(
+            (0..cells)
+                .map(|cell| 1.0 / (cell + 2) as f32)
+                .collect::<Vec<f32>>()
+                .into(),
+        ),
     };
     Message::new(header(agent, Kind::Features, seq), map)
 }
@@ -97,17 +102,26 @@ fn boxes_cross_before_the_map_of_their_sweep_and_on_its_budget_in_whatever_order
     let mut stage = Watched::new(hybrid());
     for (seq, boxes_first) in [(0, true), (1, false), (2, true)] {
         for agent in NAMES {
-            let both = [(Input::DETECTED, boxes(agent, seq, 40)), (Input::MESSAGES, map(agent, seq))];
+            let both = [
+                (Input::DETECTED, boxes(agent, seq, 40)),
+                (Input::MESSAGES, map(agent, seq)),
+            ];
             let mut both = Vec::from(both);
             if !boxes_first {
                 both.reverse();
             }
-            let sent: Vec<_> = both.into_iter().flat_map(|(port, message)| stage.take(port, message)).collect();
+            let sent: Vec<_> = both
+                .into_iter()
+                .flat_map(|(port, message)| stage.take(port, message))
+                .collect();
             let [(Kind::Boxes, first, of_boxes), (Kind::Features, second, of_map)] = sent[..] else {
                 panic!("{sent:?}");
             };
             assert_eq!([first, second], [seq, seq]);
-            assert!((5_000..=6_000).contains(&(of_boxes + of_map)), "{of_boxes} and {of_map}");
+            assert!(
+                (5_000..=6_000).contains(&(of_boxes + of_map)),
+                "{of_boxes} and {of_map}"
+            );
         }
     }
 }
@@ -171,13 +185,22 @@ fn a_budget_that_follows_needs_a_max_and_hears_nothing_but_words_about_packets()
     assert!(error.contains("`budget_bytes`, the max of a budget"), "{error}");
     let mut stage = TransmissionEncoder::new(hybrid()).unwrap();
     let other = Message::new(header("cav2", Kind::Report, 0), to_report("peers", &[0]));
-    let error = stage.on_message(Input::ON_AIR, other, &mut Outputs::at(0)).unwrap_err().to_string();
-    assert!(error.contains("expected a report of topic `on_air`, found `peers`"), "{error}");
+    let error = stage
+        .on_message(Input::ON_AIR, other, &mut Outputs::at(0))
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("expected a report of topic `on_air`, found `peers`"),
+        "{error}"
+    );
     let broken = Report {
         topic: ON_AIR.into(),
         json: "{}".into(),
     };
     let broken = Message::new(header("cav2", Kind::Report, 0), broken);
-    let error = stage.on_message(Input::ON_AIR, broken, &mut Outputs::at(0)).unwrap_err().to_string();
+    let error = stage
+        .on_message(Input::ON_AIR, broken, &mut Outputs::at(0))
+        .unwrap_err()
+        .to_string();
     assert!(error.contains("report `on_air`: missing field `bytes`"), "{error}");
 }
