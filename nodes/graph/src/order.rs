@@ -155,7 +155,7 @@ mod tests {
 
     #[test]
     fn feedback_closes_no_cycle() {
-        static LOOP: Registration = Registration {
+        static STAGES: Registry = Registry(&[Registration {
             name: "loop",
             about: "",
             role: Role::Operator,
@@ -167,13 +167,13 @@ mod tests {
             check: |_| Ok(()),
             examine: |_| Ok(()),
             build: |_| Err("it is never built".into()),
-        };
+        }]);
         let around = |port: &str| {
             let text = format!(
                 "nodes: [{{id: link, path: x, inputs: {{p: lane/out}}, outputs: [o]}}, {{id: player, path: x, outputs: [o]}}, \
                  {{id: lane, path: bin/realo, args: operator loop, inputs: {{{port}}}, outputs: [out]}}]"
             );
-            graph(&text).ranks(&Registry(&[LOOP]))
+            graph(&text).ranks(&STAGES)
         };
         assert_eq!(around("in: player/o, back: link/o").unwrap(), [2, 0, 1]);
         assert!(

@@ -97,12 +97,13 @@ impl<'a> Wires<'a> {
         let carried = |port: &&Port| is_packet(port) && carries(port, stage, output);
         let carried: Vec<&Port> = stage.inputs.iter().filter(carried).collect();
         if carried.is_empty() {
-            // Each of its messages becomes a packet, but for feedback.
-            let messages = stage.inputs.iter().filter(|port| !port.feedback);
-            let mut wired = messages.filter_map(|port| node.inputs.get(port.name)).peekable();
-            wired.peek()?;
-            for input in wired {
-                let (source, output) = input.output()?;
+            // Packets are made of the first input, and of those that a setting calls for beside it, but for feedback.
+            let wired = |port: &&Port| node.inputs.contains_key(port.name);
+            let mut wired = stage.inputs.iter().filter(wired);
+            let first = wired.next()?;
+            let beside = wired.filter(|port| port.needed.is_some() && !port.feedback);
+            for port in std::iter::once(first).chain(beside) {
+                let (source, output) = node.inputs.get(port.name)?.output()?;
                 let kind = kind_of(self.graph.node(source)?.output_types.get(output))?;
                 packed.kinds.insert(kind);
             }
