@@ -1,6 +1,7 @@
 use arrow::buffer::Buffer;
 use nalgebra::Isometry3;
 use realo_operator::{Error, NodeBooks, Outputs, PortId};
+use realo_schemas::report::from_report;
 use realo_schemas::{AgentState, Header, Kind, Message, Nanos, Packet, PoseStatus};
 
 use super::*;
@@ -35,6 +36,8 @@ struct Watched {
     link: Link,
     books: NodeBooks,
     lost: u64,
+    /// What senders were told: when, who, and what.
+    words: Vec<(Nanos, String, OnAir)>,
 }
 
 /// What is known of a channel.
@@ -55,6 +58,7 @@ impl Watched {
             link: Link::new(config)?,
             books: NodeBooks::default(),
             lost: 0,
+            words: Vec::new(),
         })
     }
 
@@ -69,6 +73,11 @@ impl Watched {
         let mut made = own.into_made();
         made.traffic.drain(..).for_each(|channel| self.books.carried(channel));
         self.lost += made.fates.iter().filter(|fated| fated.fate == Fate::Lost).count() as u64;
+        for (_, message) in made.sent.extract_if(.., |(port, _)| *port == Output::ON_AIR) {
+            let (header, report): (Header, Report) = message.into_parts().unwrap();
+            let word = from_report(&report).unwrap();
+            self.words.push((header.ready, header.agent.to_string(), word));
+        }
         out.take_over(made);
     }
 }
@@ -390,4 +399,58 @@ fn learns_the_ego_and_refuses_what_is_wired_wrongly() {
         })
         .contains("`paper`")
     );
+}
+
+#[test]
+fn senders_are_told_when_their_packets_left_and_how_busy_the_channel_was() {
+    // 8 ms a packet of 1000 bytes.
+    let mut link = placed(link(
+        "channel.bits_per_second=1e6,channel.half_duplex=true,channel.queue_ms=20",
+    ));
+    for (seq, at) in [(0, 0), (1, 100)] {
+        for sender in ["rsu1", "cav2"] {
+            let packet = packet(sender, Kind::Boxes, seq, at * MS, 1000);
+            link.on_message(Input::OTHERS, packet, &mut Outputs::at(at * MS))
+                .unwrap();
+        }
+    }
+    for seq in 2..5 {
+        let packet = packet("rsu1", Kind::Features, seq, 100 * MS, 1000);
+        link.on_message(Input::OTHERS, packet, &mut Outputs::at(100 * MS))
+            .unwrap();
+    }
+    let told = |ready: Nanos, agent: &str, [air, span, busy]: [Nanos; 3]| {
+        let word = OnAir {
+            bytes: 1000,
+            dropped: air == 0,
+            air_ns: air * MS,
+            span_ns: span * MS,
+            busy_ns: busy * MS,
+        };
+        (ready * MS, agent.to_string(), word)
+    };
+    let expected = [
+        told(8, "rsu1", [8, 0, 0]),
+        told(16, "cav2", [8, 0, 0]),
+        told(108, "rsu1", [8, 100, 16]),
+        told(116, "cav2", [8, 100, 16]),
+        told(124, "rsu1", [8, 16, 16]),
+        told(100, "rsu1", [0, 0, 0]),
+        told(100, "rsu1", [0, 0, 0]),
+    ];
+    assert_eq!(link.words, expected);
+}
+
+#[test]
+fn bytes_take_no_time_without_a_channel_and_the_ego_is_told_nothing() {
+    let mut link = placed(link("paper"));
+    let other = packet("rsu1", Kind::Features, 0, MS, 1000);
+    link.on_message(Input::OTHERS, other, &mut Outputs::at(MS)).unwrap();
+    let own = packet("cav1", Kind::Boxes, 0, MS, 1000);
+    link.on_message(Input::EGO, own, &mut Outputs::at(MS)).unwrap();
+    let word = OnAir {
+        bytes: 1000,
+        ..OnAir::default()
+    };
+    assert_eq!(link.words, [(MS, "rsu1".to_string(), word)]);
 }

@@ -152,7 +152,7 @@ mod tests {
             }
         }
         let error = recipes.page("other").unwrap_err().to_string();
-        assert!(error.contains("there is no page `other`, but: demo"), "{error}");
+        assert!(error.contains("there is no page `other`, but: bytes"), "{error}");
     }
 
     /// The table in README.md is never edited by hand: it is one of the page's, and there is none without the page.
