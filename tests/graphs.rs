@@ -272,7 +272,11 @@ fn a_broken_graph_is_refused_with_what_mends_it() {
         ),
         ("host modules/v2x.yml", "program ../my/links", "my/links"),
         ("{ ego: ego/boxes", "{ ego: ego/packets", "`ego`"),
-        ("outputs: [to_ego, to_others]", "outputs: [to_ego, to_all]", "to_others"),
+        (
+            "outputs: [to_ego, to_others, on_air]",
+            "outputs: [to_ego, to_all, on_air]",
+            "to_others",
+        ),
         ("modules/detect.network.yml", "detect.away.yml", "--model"),
         (
             "fuse: modules",
