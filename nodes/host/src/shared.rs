@@ -101,7 +101,10 @@ impl Shared {
             let upstream = stage.inputs.iter().map(|feed| match feed {
                 None => Some("-".to_string()),
                 Some(Feed::Outside) => None,
-                Some(Feed::Stage(from, PortId(port))) => keys[*from].map(|key| format!("{key}.{port}")),
+                // What is fed back comes of a later stage: around a circle every run computes.
+                Some(Feed::Stage(from, PortId(port))) => {
+                    keys.get(*from).copied().flatten().map(|key| format!("{key}.{port}"))
+                }
             });
             let upstream: Option<Vec<String>> = upstream.collect();
             let name = text.zip(upstream).map(|(arguments, upstream)| {

@@ -106,7 +106,8 @@ fn install(home: &Path) -> Result<()> {
     if version(&home.join("bin/dora")).is_some() {
         return Ok(());
     }
-    step(Command::new("python3").args(["-m", "venv"]).arg(home)).wrap_err_with(by_hand)?;
+    // What is there may be half of one, or of another folder.
+    step(Command::new("python3").args(["-m", "venv", "--clear"]).arg(home)).wrap_err_with(by_hand)?;
     let package = format!("dora-rs-cli=={VERSION}");
     let mut pip = Command::new(home.join("bin/python"));
     step(pip.args(["-m", "pip", "install", "--quiet", "--no-deps", &package])).wrap_err_with(by_hand)
