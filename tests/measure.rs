@@ -67,9 +67,13 @@ impl Tree {
     }
 
     fn commit(&self) {
+        self.commit_files(&["tools"]);
+    }
+
+    fn commit_files(&self, files: &[&str]) {
         for args in [
             &["init", "-q"][..],
-            &["add", "tools"],
+            &[&["add"], files].concat(),
             &["-c", "user.name=a", "-c", "user.email=a@b", "commit", "-q", "-m", "a"],
         ] {
             let done = Command::new("git").args(args).current_dir(&self.0).status();
@@ -239,25 +243,18 @@ fn tree_of_paper(name: &str) -> Tree {
     let script = "#!/bin/sh\ntest -e fail && { echo no space >&2; exit 1; }\n\
                   while test $# -gt 0; do test \"$1\" = --out && mkdir -p \"$2\" && echo {} > \"$2/result.json\"; shift; done\n";
     tree.write("bin/realo", script);
-    for args in [
-        &["init", "-q"][..],
-        &[
-            "add",
-            "Cargo.lock",
-            "Cargo.toml",
-            "schemas",
-            "operators",
-            "nodes",
-            "tools",
-            "dataflows",
-            "models",
-            "python",
-        ],
-        &["-c", "user.name=a", "-c", "user.email=a@b", "commit", "-q", "-m", "a"],
-    ] {
-        let done = Command::new("git").args(args).current_dir(&tree.0).status();
-        assert!(done.expect("there is git").success(), "{args:?}");
-    }
+    let results_depend_on = [
+        "Cargo.lock",
+        "Cargo.toml",
+        "schemas",
+        "operators",
+        "nodes",
+        "tools",
+        "dataflows",
+        "models",
+        "python",
+    ];
+    tree.commit_files(&results_depend_on);
     tree
 }
 

@@ -45,7 +45,7 @@ pub enum WeightsError {
     /// The file cannot be read.
     #[error(
         "{}: {error}; weights are in the folder of their model file, under the model's `name` or as its `weights` and `encoder` say: \
-         `realo-lab checkpoint convert` makes them of a PyTorch checkpoint, `realo-lab train` trains detectors and V2X-ViT's fusion",
+         `realo-lab checkpoint convert` makes them of a PyTorch checkpoint, `realo-lab train` trains detectors and fusions",
         path.display()
     )]
     Read {

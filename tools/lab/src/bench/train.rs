@@ -4,8 +4,7 @@ use std::path::{Path, PathBuf};
 use eyre::Result;
 use realo_cli::Progress;
 use realo_methods::Model;
-use realo_training::data::{Augmentation, Frames, SimulatedFrames};
-use realo_training::optimizer::OptimizerSettings;
+use realo_training::data::{Frames, SimulatedFrames};
 use realo_training::{Data, TrainOptions, train};
 use serde::Serialize;
 use serde_json::json;
@@ -60,7 +59,7 @@ pub fn bench(python: Option<&Path>, shown: &Progress) -> Result<Train> {
         let output = folder.join(format!("train_{round}"));
         // A checkpoint of an earlier bench would be gone on from, or refused.
         let _ = std::fs::remove_dir_all(&output);
-        train(&options(&cache, output), |progress| {
+        train(&options(&cache, output)?, |progress| {
             shown.add(1.0);
             if progress.point.step >= WARM_UP {
                 ours.push(progress.point.seconds);
@@ -92,35 +91,20 @@ pub fn bench(python: Option<&Path>, shown: &Progress) -> Result<Train> {
 }
 
 /// A turn's training, which begins anew and neither validates nor keeps what it has until its end.
-fn options(cache: &Path, output: PathBuf) -> TrainOptions {
-    TrainOptions {
-        model: MODEL.into(),
-        from: None,
-        teacher: None,
-        output,
-        resume: false,
-        data: Data::Simulated {
-            cache: cache.into(),
-            seeds: SEEDS,
-            per_seed: 1,
-        },
+fn options(cache: &Path, output: PathBuf) -> Result<TrainOptions> {
+    let data = Data::Simulated {
+        cache: cache.into(),
+        seeds: SEEDS,
+        per_seed: 1,
+    };
+    Ok(TrainOptions {
         steps: STEPS,
-        minutes: None,
-        fit_steps: false,
-        seed: 0,
         batch: BATCH,
-        freeze: Vec::new(),
-        frozen_norms: false,
         parts: 0.0,
         checkpoint_minutes: 60.0,
-        validate_every: None,
         compare: false,
-        validation: None,
-        optimizer: OptimizerSettings::default(),
-        augmentation: Augmentation::default(),
-        threads: None,
-        arithmetic: None,
-    }
+        ..TrainOptions::new(MODEL.into(), None, output, data)?
+    })
 }
 
 fn peer(python: &Path, threads: usize) -> Result<Peer> {

@@ -26,8 +26,8 @@ use eyre::{Result, bail, ensure, eyre};
 
 pub(crate) use json::find as find_in;
 pub(crate) use output::{COMMIT, write_page};
-pub(crate) use page::{Column, Program, Row, Table};
-use page::{Kind, Page};
+use page::Kind;
+pub(crate) use page::{Column, Page, Program, Row, Table};
 pub(crate) use process::run;
 pub(crate) use programs::Programs;
 pub(crate) use provenance::{Tree, machine, sha256};

@@ -7,7 +7,9 @@ use eyre::{Result, WrapErr, eyre};
 use serde_json::Value;
 
 use super::plan::{BENCHES, METHODS, MODES, Runs, WAYS, bench_key, cells, run_key};
-use crate::measure::{COMMIT, Column, Recipes, Row, Table, Tree, derived, find_in, page_file, sha256, table, words};
+use crate::measure::{
+    COMMIT, Column, Page, Recipes, Row, Table, Tree, derived, find_in, page_file, sha256, table, words,
+};
 
 /// The tables and columns of the page; those of each mode are made from one.
 const PAGE: &str = include_str!("page.toml");
@@ -16,6 +18,7 @@ const PAGE: &str = include_str!("page.toml");
 pub struct Sheet<'a> {
     runs: &'a Runs,
     recipes: &'a Recipes,
+    page: Page,
     results: BTreeMap<String, Value>,
     columns: BTreeMap<String, Column>,
     tables: Vec<Table>,
@@ -69,6 +72,7 @@ impl<'a> Sheet<'a> {
         Ok(Sheet {
             runs,
             recipes,
+            page,
             results,
             columns,
             tables,
@@ -96,7 +100,7 @@ impl<'a> Sheet<'a> {
     /// # Errors
     /// As [`Sheet::tables`].
     pub fn markdown(&self, tree: &Tree, command: &str) -> Result<String> {
-        let page = page_file(PAGE)?;
+        let page = &self.page;
         let mut text = format!(
             "<!-- Written by `{command}`: what is edited here is lost. -->\n# {}\n\n",
             page.title
@@ -109,8 +113,8 @@ impl<'a> Sheet<'a> {
         );
         let isa = self.results.values().find_map(|result| result["isa"].as_str());
         text += &format!("| networks computed in | {} |\n", isa.unwrap_or("no network"));
-        for file in page.weights {
-            text += &format!("| sha256 of `{file}` | `{}` |\n", sha256(&tree.root.join(&file))?);
+        for file in &page.weights {
+            text += &format!("| sha256 of `{file}` | `{}` |\n", sha256(&tree.root.join(file))?);
         }
         text += &self.tables()?;
         text += &words(self.tables.iter().flat_map(|table| self.used(table)));

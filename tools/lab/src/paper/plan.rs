@@ -7,7 +7,7 @@ use std::path::Path;
 use std::str::FromStr;
 
 use eyre::{Result, WrapErr};
-use realo_cli::campaign::{Item, Plan, Task, digest};
+use realo_cli::campaign::{self, Item, Plan, Task, digest};
 use serde_json::Value;
 
 use super::worlds::Worlds;
@@ -150,9 +150,9 @@ impl Runs {
             }
         }
         let values = [("--scenes", scenes), ("--seconds", seconds)];
-        let values = values.map(|(name, value)| (name.to_string(), value.to_string()));
+        let values = campaign::values(values.map(|(name, value)| (name, value.to_string())));
         Ok(Runs {
-            plan: Plan::new("paper", values.into(), items)?,
+            plan: Plan::new("paper", values, items)?,
             scenes,
             seconds,
             works,

@@ -3,7 +3,7 @@
 use std::path::{Path, PathBuf};
 use std::sync::{Mutex, PoisonError};
 
-use eyre::Result;
+use eyre::{Result, WrapErr};
 
 use super::plan::{FIRST_SEED, MOST_SCENES};
 use crate::measure::{Program, Programs, run};
@@ -46,7 +46,7 @@ impl<'a> Worlds<'a> {
         if log.exists() {
             return Ok(log);
         }
-        std::fs::create_dir_all(&self.folder)?;
+        std::fs::create_dir_all(&self.folder).wrap_err_with(|| self.folder.display().to_string())?;
         let mut args: Vec<String> = ["simulate", "--scenario", "mixed", "--seed"].map(String::from).into();
         args.extend([seed.to_string(), "--seconds".into(), self.seconds.to_string()]);
         args.extend((scene % DENSE == DENSE - 1).then(|| "--dense".to_string()));

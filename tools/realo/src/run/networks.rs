@@ -47,7 +47,7 @@ fn find(path: &Path) -> Result<()> {
     if let Some(weights) = weights.iter().find(|weights| !weights.exists()) {
         bail!(
             "{}: this model has no weights, {} is not there, the file that its `name`, `weights` or `encoder` names: \
-             `realo-lab checkpoint convert` makes them of a PyTorch checkpoint, `realo-lab train` trains detectors and V2X-ViT's fusion; \
+             `realo-lab checkpoint convert` makes them of a PyTorch checkpoint, `realo-lab train` trains detectors and fusions; \
              --model FILE, or --set STAGE.model=FILE, names a model that has some",
             path.display(),
             weights.display()

@@ -11,7 +11,7 @@ use realo_nn::model::Grid;
 use realo_nn::weights::Weights;
 
 use super::frame::Frame;
-use super::sample::{Augmentation, Cast, Change, Part, Scene};
+use super::sample::{Augmentation, Cast, Change, PlacedSweep, Scene};
 use crate::TrainError;
 use crate::random::Stream;
 
@@ -103,19 +103,11 @@ impl Party {
     /// What those who take part see, in the frame of the ego, and how their maps will lie.
     pub fn view(&self, frame: &Frame, model: &Model, how: &Augmentation, draws: &mut Stream) -> View {
         let ego = &frame.agents[self.ego];
-        let own = Part {
-            sweep: ego,
-            map_from_sweep: ego.map_from_body,
-        };
-        let (mut parts, mut places) = (vec![own], vec![Place::default()]);
+        let (mut parts, mut places) = (vec![PlacedSweep::exact(ego)], vec![Place::default()]);
         for (agent, earlier) in &self.others {
             let then = frame.earlier.as_ref().filter(|_| *earlier);
             let (agents, delay) = then.map_or((&frame.agents, 0), |then| (&then.agents, then.delay));
-            let exact = Part {
-                sweep: &agents[*agent],
-                map_from_sweep: agents[*agent].map_from_body,
-            };
-            let part = exact.astray(how, draws);
+            let part = PlacedSweep::exact(&agents[*agent]).astray(how, draws);
             let map_from_points = match self.project {
                 Project::Sender => agents[self.ego].map_from_body,
                 Project::Receiver => part.map_from_sweep,

@@ -193,14 +193,8 @@ impl Cast {
     }
 
     /// The sweeps that take part, the ego's first; the others' poses err.
-    pub(crate) fn parts<'a>(&self, frame: &'a Frame, how: &Augmentation, draws: &mut Stream) -> Vec<Part<'a>> {
-        let exact = |agent: usize| {
-            let sweep = &frame.agents[agent];
-            Part {
-                sweep,
-                map_from_sweep: sweep.map_from_body,
-            }
-        };
+    pub(crate) fn parts<'a>(&self, frame: &'a Frame, how: &Augmentation, draws: &mut Stream) -> Vec<PlacedSweep<'a>> {
+        let exact = |agent: usize| PlacedSweep::exact(&frame.agents[agent]);
         let others = self.others.iter().map(|other| exact(*other).astray(how, draws));
         std::iter::once(exact(self.ego)).chain(others).collect()
     }
@@ -385,22 +379,30 @@ pub(crate) fn classes_in(model: &Model, classes: &[String]) -> Vec<Option<usize>
 
 /// A sweep that takes part in a sample, with the pose that its agent believes it has.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Part<'a> {
+pub(crate) struct PlacedSweep<'a> {
     pub sweep: &'a AgentSweep,
     pub map_from_sweep: Isometry3<f64>,
 }
 
-impl Part<'_> {
+impl<'a> PlacedSweep<'a> {
+    /// Where it really is.
+    pub fn exact(sweep: &'a AgentSweep) -> Self {
+        PlacedSweep {
+            sweep,
+            map_from_sweep: sweep.map_from_body,
+        }
+    }
+
     /// The same with a pose that errs.
     pub fn astray(self, how: &Augmentation, draws: &mut Stream) -> Self {
         let map_from_sweep = self.map_from_sweep * how.pose_error(draws);
-        Part { map_from_sweep, ..self }
+        PlacedSweep { map_from_sweep, ..self }
     }
 }
 
 impl Scene {
     /// Merges sweeps of a frame, the ego's first.
-    pub fn new(frame: &Frame, parts: &[Part], model: &Model, how: &Augmentation, draws: &mut Stream) -> Self {
+    pub fn new(frame: &Frame, parts: &[PlacedSweep], model: &Model, how: &Augmentation, draws: &mut Stream) -> Self {
         let ego = parts[0].sweep;
         let keep = how.share(draws);
         let mut scene = Scene::default();
