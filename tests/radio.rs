@@ -86,16 +86,16 @@ fn late_fusion_over_zenoh() {
 }
 
 /// What the vehicle finds with others' points or maps that come over a link without limits, beside what its sister on one machine finds
-/// over a perfect one. Two sweeps a second leave time to compute, so that ages are those of the log on any machine; the other agent's lie
+/// over a perfect one. One sweep a second leaves time to compute, so that ages are those of the log on any machine; the other agent's lie
 /// 76 ms behind the ego's, which fuses those before.
 fn assert_same_boxes(strategy: &str, projected_by: &str, sender: &[&str], roadside: &[&str], banks: &[&str]) {
-    let _share = half();
-    let args = "--seed 923 --seconds 5 --phase spread --key-hz 2 --key-sweeps-only --agents cav1,rsu1";
+    let _share = three_quarters();
+    let args = "--seed 923 --seconds 8 --phase spread --key-hz 1 --key-sweeps-only --agents cav1,rsu1";
     let (log, port) = (
         simulated("radio_slow", &args.split(' ').collect::<Vec<_>>()),
         free_port(),
     );
-    let of_bank = |bank: &&str| ["window_ms=900", "patience_ms=0"].map(|setting| format!("{bank}.bank.{setting}"));
+    let of_bank = |bank: &&str| ["window_ms=1500", "patience_ms=0"].map(|setting| format!("{bank}.bank.{setting}"));
     let windows: Vec<String> = banks.iter().flat_map(of_bank).collect();
     let run = |name: &str, out: &Path, settings: &[String]| {
         let (log, out) = (log.display().to_string(), out.display().to_string());
