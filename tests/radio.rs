@@ -10,7 +10,7 @@ use std::net::TcpListener;
 use std::path::{Path, PathBuf};
 use std::time::Duration;
 
-use common::machine::{decided, half, quarter, three_quarters};
+use common::machine::{decided, quarter, three_quarters};
 use common::{
     Peer, REALO, arguments, boxes, files_below, folder, free_port, graph, json, realo, realo_ok, root, run_virtual,
     run_virtual_faulty, simulated, text,

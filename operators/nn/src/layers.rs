@@ -22,7 +22,9 @@ pub struct Layers {
     steps: Vec<Step>,
     /// The pillars' features.
     pub canvas: MapId,
-    /// The BEV map: what agents share, compressed if the model compresses.
+    /// An agent's BEV map, before a compressor.
+    pub own: MapId,
+    /// What agents share: that map, compressed if the model compresses.
     pub features: MapId,
     /// What is fused: the shared map, restored if the model compresses.
     pub restored: MapId,
@@ -274,9 +276,9 @@ impl Layers {
         each.fold(0, usize::saturating_add)
     }
 
-    /// The tensors that lead from points to the maps that a fusion reads.
+    /// The tensors that lead from points to an agent's own map.
     pub fn encoder(&self) -> impl Iterator<Item = TensorSpec> {
-        let steps = self.between(&[], &[self.restored]);
+        let steps = self.between(&[], &[self.own]);
         steps.into_iter().flat_map(|step| step.layer.tensors())
     }
 
@@ -371,14 +373,15 @@ impl Builder {
 
     /// The network of one agent, from `canvas` over `features` to its heads.
     pub fn finish(self, canvas: MapId, features: MapId, heads: [MapId; 2]) -> Layers {
-        self.finish_fused(canvas, [features; 3], heads)
+        self.finish_fused(canvas, [features; 4], heads)
     }
 
-    /// The network from `canvas` to the map that agents share, to the same restored, to the fused one, to its heads.
+    /// The network from `canvas` to an agent's own map, to what agents share of it, to the same restored, to the fused one, to its
+    /// heads.
     pub fn finish_fused(
         mut self,
         canvas: MapId,
-        [features, restored, fused]: [MapId; 3],
+        [own, features, restored, fused]: [MapId; 4],
         [scores, deltas]: [MapId; 2],
     ) -> Layers {
         let heads = self.join(vec![scores, deltas]);
@@ -386,6 +389,7 @@ impl Builder {
             maps: self.maps,
             steps: self.steps,
             canvas,
+            own,
             features,
             restored,
             fused,

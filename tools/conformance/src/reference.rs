@@ -179,6 +179,7 @@ pub fn model_of(grid: Grid, channels: usize, backbone: Backbone) -> Result<Model
         },
         backbone,
         shrink: Vec::new(),
+        refine: Vec::new(),
         activations: BTreeMap::new(),
     };
     model.validate().map_err(|error| error.to_string())?;

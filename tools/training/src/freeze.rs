@@ -12,8 +12,10 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "lowercase")]
 pub enum Part {
-    /// What makes an agent's map of its points, with the compressor.
+    /// What makes an agent's map of its points.
     Encoder,
+    /// What makes less of that map, and of the less a map again.
+    Compressor,
     /// What makes one map of several agents'.
     Fusion,
     /// What finds boxes in a map.
@@ -22,13 +24,14 @@ pub enum Part {
 
 impl Part {
     /// All of them.
-    pub const ALL: [Part; 3] = [Part::Encoder, Part::Fusion, Part::Heads];
+    pub const ALL: [Part; 4] = [Part::Encoder, Part::Compressor, Part::Fusion, Part::Heads];
 }
 
 impl fmt::Display for Part {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         f.write_str(match self {
             Part::Encoder => "encoder",
+            Part::Compressor => "compressor",
             Part::Fusion => "fusion",
             Part::Heads => "heads",
         })
@@ -37,7 +40,7 @@ impl fmt::Display for Part {
 
 /// A name that no part has.
 #[derive(Debug, thiserror::Error)]
-#[error("expected encoder, fusion or heads, found `{0}`")]
+#[error("expected encoder, compressor, fusion or heads, found `{0}`")]
 pub struct UnknownPart(String);
 
 impl FromStr for Part {
@@ -70,7 +73,8 @@ impl Frozen {
     /// Keys of the tensors that stay.
     pub(crate) fn keys(&self, layers: &Layers) -> HashSet<String> {
         let between = |part: Part| match part {
-            Part::Encoder => layers.between(&[], &[layers.restored]),
+            Part::Encoder => layers.between(&[], &[layers.own]),
+            Part::Compressor => layers.between(&[layers.own], &[layers.restored]),
             Part::Fusion => layers.between(&[layers.restored], &[layers.fused]),
             Part::Heads => layers.between(&[layers.fused], &[layers.scores, layers.deltas]),
         };

@@ -9,6 +9,7 @@ use candle_core::{Tensor, TensorId};
 use rayon::prelude::*;
 use realo_methods::Model;
 use realo_nn::layers::{ConvLayer, Layer, Layers, MapId, PointLayer, Step};
+use realo_nn::model::REFINE;
 use realo_nn::tensors::{Role, TensorSpec, norm_key};
 
 use crate::data::{Batch, Member};
@@ -106,11 +107,13 @@ impl Network {
                 scores: step.to == layers.scores,
                 deltas: step.to == layers.deltas,
             };
+            let changes_nothing = is_refining(&step.layer);
             let method = model.arch.method().filter(|_| matches!(step.layer, Layer::Fuse(_)));
             for (spec, number) in step.layer.tensors().into_iter().zip(number.by_ref()) {
                 let mut draws = Stream::new(seed, "weights", number);
                 values.push(match (given(&spec), method) {
                     (Some(given), _) => given.to_vec(),
+                    _ if changes_nothing => identity(&spec),
                     (None, Some(method)) => method.initial(&spec, &mut || draws.normal()),
                     (None, None) => initial(&mut draws, &spec, of_heads),
                 });
@@ -436,6 +439,21 @@ fn norm_keys(norm: &str) -> [String; 2] {
 struct OfHeads {
     scores: bool,
     deltas: bool,
+}
+
+/// Whether a layer stands between the fused map and the heads, and can begin by giving that map as it is.
+fn is_refining(layer: &Layer) -> bool {
+    matches!(layer, Layer::Convolution(layer) if layer.key.starts_with(REFINE) && layer.inputs == layer.outputs)
+}
+
+/// The numbers of a convolution that gives each channel as it is.
+fn identity(spec: &TensorSpec) -> Vec<f32> {
+    let mut numbers = vec![0.0; spec.count()];
+    if let ([outputs, inputs, rows, columns], Role::Weight { .. }) = (&spec.shape[..], spec.role) {
+        let (area, middle) = (rows * columns, rows / 2 * columns + columns / 2);
+        (0..*outputs).for_each(|channel| numbers[(channel * inputs + channel) * area + middle] = 1.0);
+    }
+    numbers
 }
 
 /// Random numbers for a tensor.

@@ -218,12 +218,14 @@ impl<A: Architecture> Model<A> {
         problems.each_within("backbone.channels", channels, 1, MOST_CHANNELS);
         problems.each_within("backbone.up_strides", up_strides, 1, 16);
         problems.each_within("backbone.up_channels", up_channels, 1, MOST_CHANNELS);
-        problems.within("shrink (how many)", self.shrink.len(), 0, 8);
-        for (index, shrink) in self.shrink.iter().enumerate() {
-            problems.within(&format!("shrink[{index}].channels"), shrink.channels, 1, MOST_CHANNELS);
-            problems.require([1, 3].contains(&shrink.kernel), || {
-                format!("shrink[{index}].kernel: expected 1 or 3, found {}", shrink.kernel)
-            });
+        for (name, layers) in [("shrink", &self.shrink), ("refine", &self.refine)] {
+            problems.within(&format!("{name} (how many)"), layers.len(), 0, 8);
+            for (index, layer) in layers.iter().enumerate() {
+                problems.within(&format!("{name}[{index}].channels"), layer.channels, 1, MOST_CHANNELS);
+                problems.require([1, 3].contains(&layer.kernel), || {
+                    format!("{name}[{index}].kernel: expected 1 or 3, found {}", layer.kernel)
+                });
+            }
         }
         problems.0.len() == before
     }

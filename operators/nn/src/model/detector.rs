@@ -2,7 +2,7 @@
 
 use super::architecture::Architecture;
 use super::problems::Problems;
-use super::settings::{Backbone, Model};
+use super::settings::{Backbone, Model, Shrink};
 use crate::layers::{Builder, ConvLayer, FuseLayer, Layers, MapId, PointLayer};
 
 impl Layers {
@@ -11,9 +11,9 @@ impl Layers {
         let mut builder = Builder::default();
         let canvas = pillars(&mut builder, model);
         let joined = backbone(&mut builder, &model.backbone, canvas);
-        let features = shrink(&mut builder, model, joined);
+        let features = convolutions(&mut builder, SHRINK, &model.shrink, joined);
         let Some(sharing) = model.arch.sharing() else {
-            let outputs = heads(&mut builder, model, features);
+            let outputs = refined_heads(&mut builder, model, features);
             return builder.finish(canvas, features, outputs);
         };
         let crossed = sharing.compress(&mut builder, features);
@@ -25,8 +25,8 @@ impl Layers {
             tensors: model.arch.tensors(channels),
         };
         let fused = builder.fuse(layer, restored);
-        let outputs = heads(&mut builder, model, fused);
-        builder.finish_fused(canvas, [crossed, restored, fused], outputs)
+        let outputs = refined_heads(&mut builder, model, fused);
+        builder.finish_fused(canvas, [features, crossed, restored, fused], outputs)
     }
 }
 
@@ -139,16 +139,20 @@ fn backbone(builder: &mut Builder, settings: &Backbone, canvas: MapId) -> MapId 
     builder.join(enlarged)
 }
 
-/// The convolutions after the backbone.
-fn shrink<A: Architecture>(builder: &mut Builder, model: &Model<A>, joined: MapId) -> MapId {
-    let layers = model.shrink.iter().enumerate();
-    layers.fold(joined, |map, (index, shrink)| {
+/// Keys of the convolutions after the backbone.
+const SHRINK: &str = "shrink_conv.layers.0.double_conv";
+/// The key before those of the convolutions between the fused map and the heads, which V2X-Real does not have.
+pub const REFINE: &str = "refine_conv";
+
+/// Convolutions with bias and ReLU, one after the other.
+fn convolutions(builder: &mut Builder, key: &str, layers: &[Shrink], from: MapId) -> MapId {
+    layers.iter().enumerate().fold(from, |map, (index, layer)| {
         let convolution = ConvLayer {
             // Every second entry of the list is a ReLU.
-            key: format!("shrink_conv.layers.0.double_conv.{}", 2 * index),
+            key: format!("{key}.{}", 2 * index),
             inputs: builder.size(map)[2],
-            outputs: shrink.channels,
-            kernel: shrink.kernel,
+            outputs: layer.channels,
+            kernel: layer.kernel,
             stride: 1,
             transposed: false,
             bias: true,
@@ -157,6 +161,12 @@ fn shrink<A: Architecture>(builder: &mut Builder, model: &Model<A>, joined: MapI
         };
         builder.convolution(convolution, map)
     })
+}
+
+/// Scores and deltas of the fused map.
+fn refined_heads<A: Architecture>(builder: &mut Builder, model: &Model<A>, fused: MapId) -> [MapId; 2] {
+    let refined = convolutions(builder, REFINE, &model.refine, fused);
+    heads(builder, model, refined)
 }
 
 /// Scores and deltas.

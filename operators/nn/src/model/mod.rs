@@ -14,7 +14,7 @@ mod settings;
 mod sharing;
 
 pub use architecture::Architecture;
-pub use detector::heads;
+pub use detector::{REFINE, heads};
 pub use error::ModelError;
 pub use file::ModelFile;
 pub use precision::{Precision, UnknownPrecision};

@@ -78,7 +78,7 @@ pub struct Args {
     /// Max learning rate [default: 2e-3; 5e-4 for a detector that begins with --from]
     #[arg(long)]
     rate: Option<f64>,
-    /// Parts of the network that stay as they are: encoder, fusion, heads
+    /// Parts of the network that stay as they are: encoder, compressor, fusion, heads
     #[arg(long, value_name = "PART", value_delimiter = ',')]
     freeze: Vec<Part>,
     /// Batch norms keep the statistics of the weights of --from, which are then the same for parts of the range and for the whole
