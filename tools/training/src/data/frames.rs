@@ -87,7 +87,7 @@ impl SimulatedFrames {
         while at_work.contains(&seed) {
             at_work = done.wait(at_work).unwrap_or_else(|poisoned| poisoned.into_inner());
         }
-        if (0..self.per_seed).all(|number| self.path(seed, number).exists()) {
+        if (0..self.per_seed).all(|number| self.made(seed, number).is_some()) {
             return Ok(());
         }
         at_work.insert(seed);
@@ -106,6 +106,13 @@ impl SimulatedFrames {
             .iter()
             .enumerate()
             .try_for_each(|(number, frame)| frame.write(&self.path(seed, number)))
+    }
+
+    /// The file of a frame that was made: one with earlier sweeps serves those who do not ask for them too.
+    fn made(&self, seed: u64, number: usize) -> Option<PathBuf> {
+        let all = self.clone().with_earlier();
+        let mut paths = [self.path(seed, number), all.path(seed, number)].into_iter();
+        paths.find(|path| path.exists())
     }
 
     fn path(&self, seed: u64, number: usize) -> PathBuf {
@@ -134,10 +141,32 @@ impl Frames for SimulatedFrames {
 
     fn load(&self, index: usize) -> Result<Frame, TrainError> {
         let (seed, number) = (self.seeds.start + (index / self.per_seed) as u64, index % self.per_seed);
-        let path = self.path(seed, number);
-        if !path.exists() {
-            self.make(seed)?;
-        }
-        Frame::read(&path)
+        let made = match self.made(seed, number) {
+            Some(path) => path,
+            None => {
+                self.make(seed)?;
+                self.made(seed, number).unwrap_or_else(|| self.path(seed, number))
+            }
+        };
+        Frame::read(&made)
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn frames_with_earlier_sweeps_serve_those_who_do_not_ask_for_them() {
+        let dir = tempfile::tempdir().unwrap();
+        let plain = SimulatedFrames::new(dir.path(), 3..4, 1).unwrap();
+        let all = plain.clone().with_earlier();
+        let frame = all.load(0).unwrap();
+        assert!(frame.earlier.is_some());
+        assert_eq!(plain.load(0).unwrap().agents, frame.agents);
+        assert!(!plain.path(3, 0).exists(), "nothing is simulated twice");
+        fs::remove_file(all.path(3, 0)).unwrap();
+        assert!(plain.load(0).unwrap().earlier.is_none());
+        assert!(plain.path(3, 0).exists());
     }
 }
