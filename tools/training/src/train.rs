@@ -157,6 +157,8 @@ pub enum Data {
 pub struct Progress<'a> {
     /// The step that was done.
     pub point: Point,
+    /// Maps of agents that were made in it.
+    pub maps: usize,
     /// Steps in all.
     pub steps: u64,
     /// Mean time of a step lately, s.

@@ -267,7 +267,7 @@ fn operations(layers: &Layers, [from, to]: [MapId; 2]) -> f64 {
 }
 
 /// What a peer needs to know to make the same network.
-fn reported(model: &Model, threads: usize, batch: usize, outputs: usize) -> Value {
+pub(super) fn reported(model: &Model, threads: usize, batch: usize, outputs: usize) -> Value {
     json!({
         "threads": threads,
         "batch": batch,
@@ -276,6 +276,7 @@ fn reported(model: &Model, threads: usize, batch: usize, outputs: usize) -> Valu
         "channels": model.pillars.channels,
         "backbone": model.backbone,
         "shrink": model.shrink,
+        "refine": model.refine,
         "arch": model.arch,
         "outputs": outputs,
     })

@@ -57,7 +57,13 @@ def point_pillars(reported):
                 shrink += [nn.Conv2d(channels, layer["channels"], kernel, padding=kernel // 2), nn.ReLU()]
                 channels = layer["channels"]
             self.shrink = nn.Sequential(*shrink)
-            self.heads = nn.Conv2d(channels, reported["outputs"], 1) if reported["outputs"] else nn.Identity()
+            refine = []
+            for layer in reported.get("refine", []):
+                kernel = layer["kernel"]
+                refine += [nn.Conv2d(channels, layer["channels"], kernel, padding=kernel // 2), nn.ReLU()]
+                channels = layer["channels"]
+            heads = nn.Conv2d(channels, reported["outputs"], 1) if reported["outputs"] else nn.Identity()
+            self.heads = nn.Sequential(*refine, heads)
 
         def features(self, canvas):
             maps = []
@@ -82,17 +88,24 @@ def canvas_of(reported):
 
 
 def training(reported):
-    """A step of the same network in PyTorch: forward, backward and AdamW, from a canvas that is there already."""
+    """A step of the same network in PyTorch: forward, backward and AdamW, from canvases that are there already: one of each agent of
+    each sample. Of several agents attention makes one map."""
     import torch
 
     torch.set_num_threads(reported["threads"])
-    network = point_pillars(reported).train()
+    network, agents = point_pillars(reported).train(), reported["agents"]
     optimizer = torch.optim.AdamW(network.parameters(), 2e-3)
     canvas = canvas_of(reported)
 
+    def fused(features):
+        if agents == 1:
+            return features
+        maps = features.permute(0, 2, 3, 1)
+        return attention(maps.reshape(-1, agents, *maps.shape[1:])).permute(0, 3, 1, 2)
+
     def step():
         optimizer.zero_grad()
-        network(canvas).square().mean().backward()
+        network.heads(fused(network.features(canvas))).square().mean().backward()
         optimizer.step()
 
     return f"PyTorch {torch.__version__}, f32, channels_last", step
@@ -114,6 +127,13 @@ def fusing(reported, fuse):
     return f"PyTorch {torch.__version__}, f32, channels_last", run
 
 
+def attention(maps):
+    """AttFuse: of maps […, agents, rows, columns, channels] the first agent's, by attention in each cell."""
+    cells = maps.movedim(-4, -2)
+    weights = (cells[..., :1, :] @ cells.transpose(-2, -1) / cells.shape[-1] ** 0.5).softmax(-1)
+    return (weights @ cells).squeeze(-2)
+
+
 def fcooper(reported):
     """F-Cooper: the max of each feature."""
     return fusing(reported, lambda maps: maps.amax(0))
@@ -121,13 +141,7 @@ def fcooper(reported):
 
 def attfuse(reported):
     """AttFuse: attention in each cell."""
-
-    def fuse(maps):
-        maps = maps.permute(1, 2, 0, 3)
-        weights = (maps @ maps.transpose(2, 3) / maps.shape[3] ** 0.5).softmax(3)
-        return (weights @ maps)[:, :, 0]
-
-    return fusing(reported, fuse)
+    return fusing(reported, attention)
 
 
 def v2xvit(reported):

@@ -18,6 +18,10 @@ impl Page {
             self.check_step(step, &known)?;
             ensure!(known.insert(&step.name), "`{}` names two things", step.name);
         }
+        for curves in &self.curves {
+            let (title, step) = (&curves.title, &curves.step);
+            ensure!(self.step(step).is_some(), "curves `{title}`: there is no step `{step}`");
+        }
         for table in &self.tables {
             ensure!(
                 table.rows.is_empty() == table.list.is_some(),

@@ -154,6 +154,9 @@ impl Bench {
         let provenance = self.tree.provenance(&page, command(name, &args.set))?;
         let text = sheet.markdown(&provenance)?;
         let folder = args.out.clone().unwrap_or_else(|| root.join("docs/measured"));
+        for (drawing, from) in sheet.drawings()? {
+            output::copy(&from, &folder.join(drawing))?;
+        }
         output::write_page(&folder.join(format!("{name}.md")), &text)?;
         if let (true, Some(table)) = (in_place, sheet.readme_table()?) {
             // Tables of other pages are in that file too.

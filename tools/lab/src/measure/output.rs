@@ -28,6 +28,18 @@ pub fn write_page(path: &Path, text: &str) -> Result<()> {
     Ok(())
 }
 
+/// Copies a drawing beside its page.
+///
+/// # Errors
+/// A file that cannot be read or written.
+pub fn copy(from: &Path, to: &Path) -> Result<()> {
+    let text = fs::read_to_string(from).wrap_err_with(|| from.display().to_string())?;
+    if let Some(folder) = to.parent() {
+        fs::create_dir_all(folder).wrap_err_with(|| folder.display().to_string())?;
+    }
+    write(to, &text)
+}
+
 /// Whether two pages differ in the commit at most.
 fn same_figures(old: &str, new: &str) -> bool {
     let figures = |text: &str| -> Vec<String> {

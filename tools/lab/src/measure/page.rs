@@ -33,6 +33,9 @@ pub struct Page {
     /// The tables, from top to bottom.
     #[serde(default)]
     pub tables: Vec<Table>,
+    /// Curves below them, from top to bottom.
+    #[serde(default)]
+    pub curves: Vec<Curves>,
 }
 
 /// What the figures of a page are.
@@ -152,6 +155,21 @@ pub struct Table {
     /// Rows out of a list.
     #[serde(default)]
     pub list: Option<List>,
+}
+
+/// The curves of a sweep over one setting, drawn and as a table.
+#[derive(Clone, Debug, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct Curves {
+    /// The heading above them.
+    pub title: String,
+    /// A paragraph below the heading.
+    #[serde(default)]
+    pub about: Option<String>,
+    /// The step that ran the sweep.
+    pub step: String,
+    /// The setting, as the sweep names it.
+    pub setting: String,
 }
 
 /// A row: its label, and the results that its columns read.

@@ -32,6 +32,8 @@ pub struct Job {
 
 /// The commands of a page.
 pub struct Plan {
+    /// The page.
+    pub name: String,
     /// In the order in which they run.
     pub jobs: Vec<Job>,
     /// Folder of the page, relative to the root.
@@ -46,6 +48,7 @@ impl Plan {
     pub fn new(name: &str, page: &Page) -> Result<Self> {
         let folder = format!("{FOLDER}/{name}");
         let mut plan = Plan {
+            name: name.into(),
             jobs: Vec::new(),
             folder,
         };

@@ -1,11 +1,12 @@
 //! A page in Markdown.
 
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
 use eyre::Result;
 
 use super::output::COMMIT;
-use super::page::{Column, Kind, Page, Step, Table};
+use super::page::{Column, Curves, Kind, Page, Step, Table};
 use super::plan::Plan;
 use super::provenance::Provenance;
 use super::source::Results;
@@ -43,9 +44,45 @@ impl Sheet<'_> {
             }
             text += &self.table(table)?;
         }
+        for curves in &self.page.curves {
+            text += &self.curves(curves)?;
+        }
         text += &words(self.page.tables.iter().flat_map(|table| self.used(table)));
         text += &self.commands()?;
         Ok(text)
+    }
+
+    /// The drawings of the page: their names beside it, and where they are.
+    ///
+    /// # Errors
+    /// As [`Sheet::markdown`].
+    pub fn drawings(&self) -> Result<Vec<(String, PathBuf)>> {
+        let drawing = |curves: &Curves| {
+            let (_, file) = self.results.curves(&curves.step, &curves.setting)?;
+            Ok((self.drawing(curves), file))
+        };
+        self.page.curves.iter().map(drawing).collect()
+    }
+
+    fn drawing(&self, curves: &Curves) -> String {
+        format!("{}-{}.svg", self.plan.name, curves.step)
+    }
+
+    fn curves(&self, curves: &Curves) -> Result<String> {
+        let title = self.filled(&curves.title)?;
+        let about = curves
+            .about
+            .as_deref()
+            .map_or(Ok(String::new()), |about| self.filled(about.trim()))?;
+        let (table, _) = self.results.curves(&curves.step, &curves.setting)?;
+        let parts = [
+            format!("\n## {title}"),
+            about,
+            format!("![{title}]({})", self.drawing(curves)),
+            table,
+        ];
+        let parts: Vec<String> = parts.into_iter().filter(|part| !part.is_empty()).collect();
+        Ok(parts.join("\n\n"))
     }
 
     /// The table that README.md has of the page, if any.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fs;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use eyre::{Result, WrapErr, bail, eyre};
 use serde_json::{Value, json};
@@ -56,6 +56,22 @@ impl<'a> Results<'a> {
             PAPER => find(self.paper, &path).cloned(),
             _ => find(&self.whole(of)?, &path).cloned(),
         }
+    }
+
+    /// What a sweep wrote of a setting: its curves as a table, and the file in which they are drawn.
+    ///
+    /// # Errors
+    /// A step that is not there, and a file that cannot be read.
+    pub fn curves(&self, step: &str, setting: &str) -> Result<(String, PathBuf)> {
+        let job = self.plan.jobs.iter().find(|job| job.step == step);
+        let job = job.ok_or_else(|| eyre!("there is no step `{step}`"))?;
+        let file = |ending: &str| self.root.join(&job.output).join(format!("{setting}.{ending}"));
+        let (table, drawing) = (file("md"), file("svg"));
+        let text = fs::read_to_string(&table).wrap_err_with(|| {
+            let found = table.display();
+            format!("{found}: expected what a sweep over `{setting}` wrote (--fresh measures it anew)")
+        })?;
+        Ok((text, drawing))
     }
 
     fn whole(&self, name: &str) -> Result<Value> {

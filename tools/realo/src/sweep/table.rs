@@ -1,7 +1,7 @@
 //! A sweep as a table for the terminal, as CSV and as curves.
 
 use std::collections::BTreeSet;
-use std::fmt::Write;
+use std::fmt::{self, Write};
 use std::path::Path;
 use std::rc::Rc;
 
@@ -54,6 +54,7 @@ impl Sweep {
             if self.vary[vary].values.len() > 1 {
                 let name = self.vary[vary].name.replace('/', "_");
                 realo_render::write(&folder.join(format!("{name}.svg")), &self.chart(vary).draw())?;
+                put(&folder.join(format!("{name}.md")), &self.markdown(vary))?;
             }
         }
         Ok(())
@@ -189,15 +190,7 @@ impl Sweep {
             let Some((at, margin)) = self.lowest(course, iou) else {
                 continue;
             };
-            let turn = match self.turn(course, iou) {
-                Turn::Never => "never".into(),
-                Turn::Everywhere => "everywhere".into(),
-                Turn::AtFirst => "at the first value, not everywhere".into(),
-                Turn::Between(one, other, None) => format!("between {one} and {other}"),
-                Turn::Between(one, other, Some(place)) => {
-                    format!("at about {} (between {one} and {other})", rounded(place))
-                }
-            };
+            let turn = self.turn(course, iou).to_string();
             let (setting, others) = (self.vary[course.vary].name.clone(), self.others(course));
             lines.push(vec![
                 course.strategy.clone(),
@@ -405,15 +398,49 @@ impl Sweep {
         text
     }
 
-    /// The curves over a setting, the others at their first values.
-    fn chart(&self, vary: usize) -> Chart {
-        let iou = self.iou();
-        let is_first = |course: &&Course| {
+    /// The courses over a setting, the others at their first values.
+    fn first_courses(&self, vary: usize) -> Vec<Course<'_>> {
+        let is_first = |course: &Course| {
             let mut others = self.vary.iter().zip(&course.values).enumerate();
             course.vary == vary && others.all(|(_, (vary, value))| vary.values[0] == *value)
         };
-        let courses = self.courses();
-        let courses: Vec<&Course> = courses.iter().filter(is_first).collect();
+        self.courses().into_iter().filter(is_first).collect()
+    }
+
+    /// The curves over a setting as a table in Markdown: a row for each value, and where margins turn negative.
+    fn markdown(&self, vary: usize) -> String {
+        let (iou, courses) = (self.iou(), self.first_courses(vary));
+        let mut lines = vec![vec![self.vary[vary].name.clone()]];
+        lines.extend(self.vary[vary].values.iter().map(|value| vec![value.clone()]));
+        lines.push(vec!["turns negative".into()]);
+        for course in &courses {
+            let is_alone = course.strategy == ALONE;
+            let cell = |row: &Option<&Row>| {
+                let Some((row, mean)) = row.and_then(|row| Some((row, row.mean_ap(&iou)?))) else {
+                    return NONE.into();
+                };
+                let margin = self.margin(row, &iou).filter(|_| !is_alone);
+                margin.map_or(format!("{mean:.3}"), |margin| format!("{mean:.3} ({margin:+.3})"))
+            };
+            let turn = if is_alone {
+                NONE.into()
+            } else {
+                self.turn(course, &iou).to_string()
+            };
+            let cells = std::iter::once(course.strategy.clone());
+            let cells = cells.chain(course.rows.iter().map(cell)).chain([turn]);
+            lines.iter_mut().zip(cells).for_each(|(line, cell)| line.push(cell));
+        }
+        let ruler = format!("|---|{}\n", "---:|".repeat(courses.len()));
+        let mut rows = lines.iter().map(|line| format!("| {} |\n", line.join(" | ")));
+        let head = rows.next().unwrap_or_default();
+        head + &ruler + &rows.collect::<String>()
+    }
+
+    /// The curves over a setting, the others at their first values.
+    fn chart(&self, vary: usize) -> Chart {
+        let iou = self.iou();
+        let courses = self.first_courses(vary);
         let value = |row: &Option<&Row>| {
             let row = (*row)?;
             Some(Value {
@@ -421,7 +448,7 @@ impl Sweep {
                 interval: row.interval(&iou),
             })
         };
-        let curve = |course: &&Course| Curve {
+        let curve = |course: &Course| Curve {
             name: match course.strategy == ALONE {
                 true => format!("{ALONE} (ego alone)"),
                 false => course.strategy.clone(),
@@ -441,6 +468,20 @@ impl Sweep {
             y: format!("mAP@{iou}"),
             places: self.vary[vary].values.clone(),
             curves: courses.iter().map(curve).collect(),
+        }
+    }
+}
+
+impl fmt::Display for Turn {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Turn::Never => f.write_str("never"),
+            Turn::Everywhere => f.write_str("everywhere"),
+            Turn::AtFirst => f.write_str("at the first value, not everywhere"),
+            Turn::Between(one, other, None) => write!(f, "between {one} and {other}"),
+            Turn::Between(one, other, Some(place)) => {
+                write!(f, "at about {} (between {one} and {other})", rounded(*place))
+            }
         }
     }
 }

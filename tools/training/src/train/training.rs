@@ -270,6 +270,7 @@ impl<'a> Training<'a> {
             let batch = batches.recv().map_err(|_| TrainError::Stopped)??;
             let waited = start.elapsed().as_secs_f64();
             let point = self.step(&batch, start)?;
+            let maps = batch.parties.iter().map(Vec::len).sum();
             if let Some(state) = waiting.take() {
                 self.save(&state)?;
             }
@@ -281,6 +282,7 @@ impl<'a> Training<'a> {
             let steps_left = (self.options.steps - self.state.optimizer.steps) as f64 * pace.seconds;
             let said = observer(&News::Step(&Progress {
                 point,
+                maps,
                 steps: self.options.steps,
                 seconds_per_step: pace.seconds,
                 waiting: pace.waiting,

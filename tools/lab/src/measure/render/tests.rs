@@ -54,6 +54,43 @@ fn with_sheet<T>(used: impl Fn(&Sheet) -> T) -> T {
     })
 }
 
+#[test]
+fn curves_of_a_sweep_are_drawn_and_listed() {
+    let folder = tempfile::tempdir().unwrap();
+    let sweep = "[[steps]]\nname = 'delay'\nprogram = 'realo'\nargs = ['sweep', 'late_fusion', '-o', '{out}']\n\
+                 [[curves]]\ntitle = 'Of {seeds} delays'\nabout = 'Ages.'\nstep = 'delay'\nsetting = 'link.delay_ms'\n";
+    let head = "title = 'T'\nkind = 'scores'\nabout = 'A'\n[parameters]\nseeds = 3\n";
+    let page: Page = toml::from_str(&format!("{head}{sweep}")).unwrap();
+    let plan = Plan::new("ages", &page).unwrap();
+    let paper = serde_json::Value::Null;
+    let sheet = Sheet {
+        page: &page,
+        plan: &plan,
+        results: &Results::new(&plan, folder.path(), &paper),
+        columns: &BTreeMap::new(),
+    };
+    let error = format!("{:#}", sheet.markdown(&provenance(None)).unwrap_err());
+    assert!(
+        error.contains("link.delay_ms.md: expected what a sweep over `link.delay_ms` wrote"),
+        "{error}"
+    );
+    let written = folder.path().join(plan.place("delay"));
+    fs::create_dir_all(&written).unwrap();
+    fs::write(
+        written.join("link.delay_ms.md"),
+        "| link.delay_ms | late_fusion |\n|---|---:|\n| 0 | 0.8 |\n",
+    )
+    .unwrap();
+    let text = sheet.markdown(&provenance(None)).unwrap();
+    let expected = "\n## Of 3 delays\n\nAges.\n\n![Of 3 delays](ages-delay.svg)\n\n| link.delay_ms | late_fusion |\n|---|---:|\n| 0 | 0.8 |\n";
+    assert!(text.contains(expected), "{text}");
+    let drawings = sheet.drawings().unwrap();
+    assert_eq!(
+        drawings,
+        [("ages-delay.svg".to_string(), written.join("link.delay_ms.svg"))]
+    );
+}
+
 fn provenance(machine: Option<Machine>) -> Provenance {
     Provenance {
         commit: "`abc`".into(),
