@@ -46,19 +46,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
     unfinished::end_with_signals(&args.output);
     let logs: Vec<Log> = args.logs.iter().map(Log::open).collect::<Result<_, _>>()?;
     let first = &logs[0];
-    let agents = || args.clock.iter().map(|(agent, _)| agent);
-    if let Some((_, twice)) = agents()
-        .enumerate()
-        .find(|(at, agent)| agents().take(*at).any(|known| known == *agent))
-    {
-        bail!("--clock {twice}: expected one for each agent, found two; say which one is meant");
-    }
-    if let Some((agent, _)) = args.clock.iter().find(|(agent, _)| first.info().agent(agent).is_some()) {
-        let path = first.path().display();
-        bail!(
-            "--clock {agent}: {path} is the first log, by whose clock all are merged: say what the others are ahead of it"
-        );
-    }
+    check_clocks(args, first)?;
     let mut outcome = Outcome::Complete;
     for log in &logs {
         if let Some(cut) = log.truncation() {
@@ -106,6 +94,24 @@ pub fn main(args: &Args) -> Result<Outcome> {
         to_millis(until - from) * 1e-3
     );
     Ok(outcome)
+}
+
+/// Refuses two clocks of one agent, and one of an agent of the first log.
+fn check_clocks(args: &Args, first: &Log) -> Result<()> {
+    let agents = || args.clock.iter().map(|(agent, _)| agent);
+    if let Some((_, twice)) = agents()
+        .enumerate()
+        .find(|(at, agent)| agents().take(*at).any(|known| known == *agent))
+    {
+        bail!("--clock {twice}: expected one for each agent, found two; say which one is meant");
+    }
+    if let Some((agent, _)) = args.clock.iter().find(|(agent, _)| first.info().agent(agent).is_some()) {
+        let path = first.path().display();
+        bail!(
+            "--clock {agent}: {path} is the first log, by whose clock all are merged: say what the others are ahead of it"
+        );
+    }
+    Ok(())
 }
 
 /// Reports the topics of a log that its copy leaves out.

@@ -238,68 +238,60 @@ impl Recipe {
     }
 
     fn check(&self, stage: &Stage, before: &[&Stage]) -> Result<(), RecipeError> {
-        let refuse = |field: &'static str, expected: String, found: String| RecipeError::Stage {
-            path: self.file.clone(),
-            stage: stage.name.clone(),
-            field,
-            expected,
-            found,
-        };
-        let is_name = |name: &str| {
-            let mut letters = name.bytes();
-            !name.is_empty() && letters.all(|byte| byte.is_ascii_alphanumeric() || b"-_".contains(&byte))
-        };
-        if !is_name(&stage.name) {
-            let expected = "letters, digits, - and _: a folder has this name".into();
-            return Err(refuse("name", expected, format!("`{}`", stage.name)));
+        let refuse = |field, expected: &str, found: &str| Err(self.refused(stage, field, expected, found));
+        let letters = |byte: u8| byte.is_ascii_alphanumeric() || b"-_".contains(&byte);
+        if stage.name.is_empty() || !stage.name.bytes().all(letters) {
+            let found = format!("`{}`", stage.name);
+            return refuse("name", "letters, digits, - and _: a folder has this name", &found);
         }
+        if before.iter().any(|other| other.name == stage.name) {
+            return refuse("name", "a name of its own", "that of a stage before");
+        }
+        if let Err(error) = Model::read(&self.beside(&stage.model)) {
+            return refuse("model", "a model file beside the recipe", &error.to_string());
+        }
+        self.check_names(stage, before)?;
+        match (stage.steps, &stage.mean[..]) {
+            (None, []) => refuse("steps", "steps of a training, or `mean` of stages", "neither"),
+            (Some(steps), [_, ..]) => refuse("steps", "none beside `mean`", &steps.to_string()),
+            (None, [only]) => refuse("mean", "two stages at least", &format!("`{only}` alone")),
+            (None, [..]) if stage.from.is_some() => refuse("from", "none beside `mean`", "one"),
+            _ => Ok(()),
+        }
+    }
+
+    /// Refuses a stage that names stages or files which are not there.
+    fn check_names(&self, stage: &Stage, before: &[&Stage]) -> Result<(), RecipeError> {
         let names: BTreeSet<&str> = before.iter().map(|stage| &*stage.name).collect();
-        if names.contains(&*stage.name) {
-            return Err(refuse(
-                "name",
-                "a name of its own".into(),
-                "that of a stage before".into(),
-            ));
-        }
-        Model::read(&self.beside(&stage.model))
-            .map_err(|error| refuse("model", "a model file beside the recipe".into(), error.to_string()))?;
-        let listed = || match names.is_empty() {
+        let listed = match names.is_empty() {
             true => "no stage is before it".to_string(),
             false => format!("before it are {}", names.iter().copied().collect::<Vec<_>>().join(", ")),
         };
+        let refuse =
+            |field, expected: &str, found: &str| Err(self.refused(stage, field, expected, &format!("`{found}`")));
+        let is_there = |of: &String| names.contains(&**of) || self.beside(Path::new(of)).is_file();
         for (field, of) in [("from", &stage.from), ("teacher", &stage.teacher)] {
-            if let Some(of) = of
-                && !names.contains(&**of)
-                && !self.beside(Path::new(of)).is_file()
-            {
-                let expected = format!("a stage before, or a model file beside the recipe ({})", listed());
-                return Err(refuse(field, expected, format!("`{of}`")));
+            if let Some(of) = of.as_ref().filter(|of| !is_there(of)) {
+                let expected = format!("a stage before, or a model file beside the recipe ({listed})");
+                return refuse(field, &expected, of);
             }
         }
         if let Some(unknown) = stage.mean.iter().find(|of| !names.contains(&***of)) {
-            return Err(refuse(
-                "mean",
-                format!("stages before ({})", listed()),
-                format!("`{unknown}`"),
-            ));
+            return refuse("mean", &format!("stages before ({listed})"), unknown);
         }
         if let Some(log) = stage.log.iter().find(|log| !self.beside(log).is_file()) {
-            return Err(refuse(
-                "log",
-                "logs beside the recipe".into(),
-                format!("`{}`", log.display()),
-            ));
+            return refuse("log", "logs beside the recipe", &log.display().to_string());
         }
-        match (stage.steps, &stage.mean[..]) {
-            (None, []) => Err(refuse(
-                "steps",
-                "steps of a training, or `mean` of stages".into(),
-                "neither".into(),
-            )),
-            (Some(steps), [_, ..]) => Err(refuse("steps", "none beside `mean`".into(), steps.to_string())),
-            (None, [only]) => Err(refuse("mean", "two stages at least".into(), format!("`{only}` alone"))),
-            (None, [..]) if stage.from.is_some() => Err(refuse("from", "none beside `mean`".into(), "one".into())),
-            _ => Ok(()),
+        Ok(())
+    }
+
+    fn refused(&self, stage: &Stage, field: &'static str, expected: &str, found: &str) -> RecipeError {
+        RecipeError::Stage {
+            path: self.file.clone(),
+            stage: stage.name.clone(),
+            field,
+            expected: expected.into(),
+            found: found.into(),
         }
     }
 }
