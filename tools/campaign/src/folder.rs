@@ -1,7 +1,7 @@
 //! A plan in a folder, with the results beside it.
 
 use std::collections::BTreeMap;
-use std::fs::{self, File};
+use std::fs::{self, File, TryLockError};
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
@@ -15,6 +15,8 @@ use crate::{Item, Plan};
 pub const PLAN_FILE: &str = "plan.json";
 /// The file in the folder of an item that says that it is done; written last.
 pub const RECORD_FILE: &str = "done.json";
+/// The file that is locked while somebody works in the folder.
+const LOCK_FILE: &str = ".lock";
 /// Where the folders of items are.
 const RUNS: &str = "runs";
 
@@ -28,6 +30,12 @@ pub enum FolderError {
         folder: PathBuf,
         /// The value that differs.
         difference: String,
+    },
+    /// A folder in which another program works.
+    #[error("{folder}: another command is at work in it; wait until that has ended, or choose another folder")]
+    Busy {
+        /// The folder.
+        folder: PathBuf,
     },
     /// A folder without a plan.
     #[error("{folder}: expected the folder of a plan, found no {PLAN_FILE} in it")]
@@ -93,16 +101,21 @@ struct Record<T> {
 #[derive(Debug)]
 pub struct Folder {
     path: PathBuf,
+    /// Locked as long as this value lives.
+    _lock: Option<File>,
 }
 
 impl Folder {
     /// The folder of this plan; made where it is not there. Items whose digests have changed since are [`Earlier::Changed`].
     ///
     /// # Errors
-    /// [`FolderError::Other`] with the value that differs; a file that is not ours; a system that refuses.
+    /// [`FolderError::Busy`]; [`FolderError::Other`] with the value that differs; a file that is not ours; a system that refuses.
     pub fn open(path: &Path, plan: &Plan) -> Result<Self, FolderError> {
         fs::create_dir_all(path).map_err(|reason| unwritable(path, reason))?;
-        let folder = Folder { path: path.into() };
+        let folder = Folder {
+            path: path.into(),
+            _lock: Some(locked(path)?),
+        };
         if path.join(PLAN_FILE).exists() {
             folder.expect(plan)?;
         }
@@ -118,7 +131,10 @@ impl Folder {
         if !path.join(PLAN_FILE).exists() {
             return Err(FolderError::NoPlan { folder: path.into() });
         }
-        let folder = Folder { path: path.into() };
+        let folder = Folder {
+            path: path.into(),
+            _lock: None,
+        };
         folder.expect(plan)?;
         Ok(folder)
     }
@@ -208,6 +224,18 @@ impl Folder {
             copy(&shard.of(item), &to)?;
         }
         Ok(wanted.len())
+    }
+}
+
+/// The folder's lock, which a program holds until it ends, however it ends.
+fn locked(folder: &Path) -> Result<File, FolderError> {
+    let path = folder.join(LOCK_FILE);
+    let file = File::options().create(true).append(true).open(&path);
+    let file = file.map_err(|reason| unwritable(&path, reason))?;
+    match file.try_lock() {
+        Ok(()) => Ok(file),
+        Err(TryLockError::WouldBlock) => Err(FolderError::Busy { folder: folder.into() }),
+        Err(TryLockError::Error(reason)) => Err(unwritable(&path, reason)),
     }
 }
 
@@ -309,6 +337,9 @@ mod tests {
             folder.finish(item, &result).unwrap();
         }
         plan.items[1] = item("late/50", "another log");
+        let error = Folder::open(here.path(), &plan).unwrap_err();
+        assert!(matches!(error, FolderError::Busy { .. }), "{error}");
+        drop(folder);
         let folder = Folder::open(here.path(), &plan).unwrap();
         let found = done(&folder, &plan);
         assert_eq!((&found[0], &found[2]), (&Earlier::Done(7), &Earlier::None));
