@@ -1,5 +1,6 @@
 //! What a method of fusion is: how the maps of several agents become one.
 
+use std::collections::BTreeMap;
 use std::fmt;
 
 use realo_kernels::agents::Agent;
@@ -61,8 +62,9 @@ pub trait Method:
         agents: &[tensors::Agent],
     ) -> candle_core::Result<candle_core::Tensor>;
 
-    /// The fusion in training, of one that has no tensors and leads gradients back itself; else [`Method::operation`] does.
-    fn descent(&self, _layer: &FuseLayer) -> Option<Box<dyn Descent>> {
+    /// The fusion in training, of one that leads gradients back itself; else [`Method::operation`] does. `weights` hold its
+    /// tensors.
+    fn descent(&self, _layer: &FuseLayer, _weights: &Weights) -> Option<Box<dyn Descent>> {
         None
     }
 
@@ -109,15 +111,32 @@ impl<F: CellFusion + Send> Fuse for ByCell<F> {
     }
 }
 
-/// A fusion that leads gradients back to agents' maps.
-pub trait Descent: Fuse {
-    /// The gradients of the maps, the ego's first, from that of what [`Fuse::run`] made of them.
-    fn back(&self, agents: &[Agent], gradient: &[f32], pool: &mut Pool) -> Vec<Vec<f32>>;
+/// A fusion that leads gradients back to agents' maps and its tensors.
+pub trait Descent: Send + Sync {
+    /// The fused map, as [`Fuse::run`] gives it, and the way back from it.
+    fn run(&self, agents: &[Agent], pool: &mut Pool) -> (Vec<f32>, Back);
 }
 
-impl<F: CellDescent + Send> Descent for ByCell<F> {
-    fn back(&self, agents: &[Agent], gradient: &[f32], pool: &mut Pool) -> Vec<Vec<f32>> {
-        descend(&self.0, agents, gradient, pool)
+/// Leads the gradient of a fused map back, given the same agents again.
+pub type Back = Box<dyn FnOnce(&[Agent], &[f32], &mut Pool) -> Gradients + Send>;
+
+/// The gradients of what a map was fused of.
+#[derive(Debug)]
+pub struct Gradients {
+    /// Of the maps, the ego's first.
+    pub maps: Vec<Vec<f32>>,
+    /// Of the tensors that took part, by their keys.
+    pub tensors: BTreeMap<String, Vec<f32>>,
+}
+
+impl<F: CellDescent + Clone + Send + 'static> Descent for ByCell<F> {
+    fn run(&self, agents: &[Agent], pool: &mut Pool) -> (Vec<f32>, Back) {
+        let fusion = self.0.clone();
+        let back = move |agents: &[Agent], gradient: &[f32], pool: &mut Pool| Gradients {
+            maps: descend(&fusion, agents, gradient, pool),
+            tensors: BTreeMap::new(),
+        };
+        (fuse(&self.0, agents, pool), Box::new(back))
     }
 }
 

@@ -1,6 +1,6 @@
 //! Training through the fusion of several agents' maps, and the weights that a training begins with.
 
-use std::collections::HashMap;
+use std::collections::{BTreeMap, HashMap};
 use std::path::Path;
 use std::sync::Arc;
 
@@ -9,7 +9,7 @@ use rayon::prelude::*;
 use realo_kernels::agents;
 use realo_kernels::bev::BevMap;
 use realo_kernels::conv::Pool;
-use realo_methods::method::Descent;
+use realo_methods::method::{Back, Descent};
 use realo_methods::tensors::{Agent, AgentMap, OwnMap, Tensors};
 use realo_methods::{Arch, Kernels, Loaded, Model};
 use realo_nn::layers::FuseLayer;
@@ -174,8 +174,16 @@ pub(crate) fn fuse(
     if layer.tensors.is_empty() && parties.iter().all(|party| party.len() == 1) {
         return Ok(maps.clone());
     }
-    if let Some(fusion) = method.descent(layer) {
-        return fuse_by_kernel(fusion, tape, maps, shape, parties);
+    let numbers = |spec: &TensorSpec| {
+        let value = with_numbers(network.value(&spec.key), |numbers| Ok(numbers.to_vec()))?;
+        Ok((spec.key.clone(), value))
+    };
+    let weights = layer.tensors.iter().map(numbers);
+    let weights = Weights::of_part(weights.collect::<candle_core::Result<_>>()?);
+    if let Some(fusion) = method.descent(layer, &weights) {
+        let value = |spec: &TensorSpec| (spec.key.clone(), network.value(&spec.key).clone());
+        let weights = layer.tensors.iter().map(value).collect();
+        return fuse_by_kernel(fusion, tape, (maps, weights), shape, parties);
     }
     let records = tape.records();
     let variable = |value: Tensor| match records {
@@ -227,11 +235,11 @@ pub(crate) fn fuse(
     Ok(made)
 }
 
-/// As [`fuse`], of a fusion that leads gradients back itself.
+/// As [`fuse`], of a fusion that leads gradients back itself, with its weights by their keys.
 fn fuse_by_kernel(
     fusion: Box<dyn Descent>,
     tape: &mut Tape,
-    maps: &Tensor,
+    (maps, weights): (&Tensor, BTreeMap<String, Tensor>),
     shape: MapShape,
     parties: &[Vec<Member>],
 ) -> candle_core::Result<Tensor> {
@@ -241,13 +249,15 @@ fn fuse_by_kernel(
         ..shape
     };
     let mut made = buffer(to.len());
-    with_numbers(maps, |numbers| {
+    let ways_back: Vec<Back> = with_numbers(maps, |numbers| {
         let samples = samples(&parties).zip(made.par_chunks_exact_mut(to.image()));
-        samples.for_each(|((first, party), image)| {
+        let fuse = |((first, party), image): ((usize, &Vec<Member>), &mut [f32])| {
             let maps = own_maps(&shape, numbers, first, party);
-            outer(&to, image, &fusion.run(&agents(party, &maps), &mut pool(&parties)));
-        });
-        Ok(())
+            let (fused, back) = fusion.run(&agents(party, &maps), &mut pool());
+            outer(&to, image, &fused);
+            back
+        };
+        Ok(samples.map(fuse).collect())
     })?;
     let made = tensor(made, to.dims())?;
     let maps = maps.clone();
@@ -258,22 +268,29 @@ fn fuse_by_kernel(
             .iter()
             .map(|party| images.by_ref().take(party.len()).collect())
             .collect();
-        with_numbers(&maps, |numbers| {
+        let samples = samples(&parties).zip(of_samples).zip(ways_back).enumerate();
+        let of_weights: Vec<_> = with_numbers(&maps, |numbers| {
             with_numbers(gradient, |gradient| {
-                let samples = samples(&parties).zip(of_samples).enumerate();
-                samples.for_each(|(sample, ((first, party), images))| {
+                let lead = |(sample, (((first, party), images), back)): (
+                    usize,
+                    (((usize, &Vec<Member>), Vec<&mut [f32]>), Back),
+                )| {
                     let maps = own_maps(&shape, numbers, first, party);
-                    let gradient = inner(&to, gradient, sample);
-                    let found = fusion.back(&agents(party, &maps), &gradient, &mut pool(&parties));
-                    images
-                        .into_iter()
-                        .zip(found)
-                        .for_each(|(image, cells)| outer(&shape, image, &cells));
-                });
-                Ok(())
+                    let found = back(&agents(party, &maps), &inner(&to, gradient, sample), &mut pool());
+                    let images = images.into_iter().zip(found.maps);
+                    images.for_each(|(image, cells)| outer(&shape, image, &cells));
+                    found.tensors
+                };
+                Ok(samples.map(lead).collect())
             })
         })?;
-        Ok(vec![(maps.id(), tensor(of_maps, shape.dims())?)])
+        let mut gradients = vec![(maps.id(), tensor(of_maps, shape.dims())?)];
+        // One sample after the other, so that the sum is the same every time.
+        for (key, numbers) in of_weights.into_iter().flatten() {
+            let weight = &weights[&key];
+            gradients.push((weight.id(), tensor(numbers, weight.shape().clone())?));
+        }
+        Ok(gradients)
     });
     Ok(made)
 }
@@ -286,9 +303,9 @@ fn samples(parties: &[Vec<Member>]) -> impl IndexedParallelIterator<Item = (usiz
     firsts.zip(parties).collect::<Vec<_>>().into_par_iter()
 }
 
-/// Threads of one sample: all of them, where it is alone.
-fn pool(parties: &[Vec<Member>]) -> Pool {
-    Pool::new(rayon::current_num_threads().div_ceil(parties.len()))
+/// Threads of one sample: all of them, since samples differ in how long they take.
+fn pool() -> Pool {
+    Pool::new(rayon::current_num_threads())
 }
 
 /// The maps of a sample's agents, without borders.

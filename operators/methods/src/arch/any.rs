@@ -31,7 +31,7 @@ pub trait AnyMethod: fmt::Debug + Send + Sync {
         tensors: &Tensors,
         agents: &[tensors::Agent],
     ) -> candle_core::Result<candle_core::Tensor>;
-    fn descent(&self, layer: &FuseLayer) -> Option<Box<dyn Descent>>;
+    fn descent(&self, layer: &FuseLayer, weights: &Weights) -> Option<Box<dyn Descent>>;
     fn initial(&self, spec: &TensorSpec, normal: &mut dyn FnMut() -> f64) -> Vec<f32>;
     fn sides(&self) -> Vec<usize>;
 
@@ -84,8 +84,8 @@ impl<M: Method> AnyMethod for M {
         Method::operation(self, layer, tensors, agents)
     }
 
-    fn descent(&self, layer: &FuseLayer) -> Option<Box<dyn Descent>> {
-        Method::descent(self, layer)
+    fn descent(&self, layer: &FuseLayer, weights: &Weights) -> Option<Box<dyn Descent>> {
+        Method::descent(self, layer, weights)
     }
 
     fn initial(&self, spec: &TensorSpec, normal: &mut dyn FnMut() -> f64) -> Vec<f32> {

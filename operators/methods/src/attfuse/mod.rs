@@ -38,7 +38,7 @@ impl Method for Settings {
         Box::new(ByCell(Attention { width: layer.width }))
     }
 
-    fn descent(&self, layer: &FuseLayer) -> Option<Box<dyn Descent>> {
+    fn descent(&self, layer: &FuseLayer, _: &Weights) -> Option<Box<dyn Descent>> {
         Some(Box::new(ByCell(Attention { width: layer.width })))
     }
 

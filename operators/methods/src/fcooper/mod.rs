@@ -38,7 +38,7 @@ impl Method for Settings {
         Box::new(ByCell(Max))
     }
 
-    fn descent(&self, _: &FuseLayer) -> Option<Box<dyn Descent>> {
+    fn descent(&self, _: &FuseLayer, _: &Weights) -> Option<Box<dyn Descent>> {
         Some(Box::new(ByCell(Max)))
     }
 

@@ -27,36 +27,58 @@ impl<E: Number> OverAgents<E> {
         let own = &normed[asks];
         let (kind, cells, channels) = (asked[asks].kind, own.columns, own.channels);
         let queries = worker.run(&self.queries[kind], own);
-        let (mut sums, mut weighed) = (worker.single(cells, channels), worker.single(cells, 2 * self.heads));
+        let mut summed = Summed::new(self.heads, [cells, channels], worker);
+        for (agent, normed) in asked.iter().zip(normed) {
+            let answers = worker.run(&self.answers[kind][agent.kind], normed);
+            summed.add(&queries, &answers, agent.covered);
+            worker.keep_single([answers]);
+        }
+        let mean = summed.mean(worker);
+        let given = worker.run(&self.outputs[kind], &mean);
+        worker.keep_single([queries, summed.sums, summed.weighed]);
+        worker.keep_own([mean]);
+        given
+    }
+}
+
+/// What agents answered so far.
+pub struct Summed {
+    heads: usize,
+    pub sums: Map<f32>,
+    /// For each cell the heads' largest scores, then their sums of weights.
+    pub weighed: Map<f32>,
+}
+
+impl Summed {
+    pub fn new<E: Number>(heads: usize, [cells, channels]: [usize; 2], worker: &mut Worker<E>) -> Self {
+        let (mut sums, mut weighed) = (worker.single(cells, channels), worker.single(cells, 2 * heads));
         line_mut(&mut sums).fill(0.0);
-        let of_heads = line_mut(&mut weighed).chunks_exact_mut(self.heads);
+        let of_heads = line_mut(&mut weighed).chunks_exact_mut(heads);
         of_heads
             .zip([f32::NEG_INFINITY, 0.0].into_iter().cycle())
             .for_each(|(of_heads, start)| of_heads.fill(start));
-        for (agent, normed) in asked.iter().zip(normed) {
-            let answers = worker.run(&self.answers[kind][agent.kind], normed);
-            let asked = [line(&queries), line(&answers)];
-            weigh(
-                asked,
-                agent.covered,
-                self.heads,
-                line_mut(&mut sums),
-                line_mut(&mut weighed),
-            );
-            worker.keep_single([answers]);
-        }
-        let mut mean = worker.own(cells, channels);
+        Summed { heads, sums, weighed }
+    }
+
+    /// Takes one agent's answers to queries.
+    pub fn add(&mut self, queries: &Map<f32>, answers: &Map<f32>, covered: &[bool]) {
+        let asked = [line(queries), line(answers)];
+        let (sums, weighed) = (line_mut(&mut self.sums), line_mut(&mut self.weighed));
+        weigh(asked, covered, self.heads, sums, weighed);
+    }
+
+    /// The answers of all, by how much they count.
+    pub fn mean<E: Number>(&self, worker: &mut Worker<E>) -> Map<E> {
+        let channels = self.sums.channels;
+        let mut mean = worker.own(self.sums.columns, channels);
         let stored = mean.stored;
         divide(
-            [line(&sums), line(&weighed)],
+            [line(&self.sums), line(&self.weighed)],
             self.heads,
             [channels, stored],
             line_mut(&mut mean),
         );
-        let given = worker.run(&self.outputs[kind], &mean);
-        worker.keep_single([queries, sums, weighed]);
-        worker.keep_own([mean]);
-        given
+        mean
     }
 }
 

@@ -1,13 +1,13 @@
 //! A block: attention over agents, then within windows; workers take bands of the map through it, tile by tile.
 
 use realo_kernels::cells::line;
-use realo_kernels::conv::{Map, Pool, split};
+use realo_kernels::conv::Map;
 use realo_kernels::number::Number;
 
 use super::agents::OverAgents;
 use super::forward::Forward;
 use super::state::{Asked, State};
-use super::tiles::{Tile, Tiles, Worker};
+use super::tiles::{Crew, Tile, Tiles, Worker};
 use super::windows::{OverWindows, add_counted, sum_up};
 
 pub struct Block<E> {
@@ -48,24 +48,48 @@ impl<E: Number> Block<E> {
         states: &mut [State],
         made: &mut [Vec<Vec<E>>],
         forward: Option<&Forward<E>>,
-        workers: &mut [Worker<E>],
-        pool: &mut Pool,
+        crew: &mut Crew<E>,
     ) {
+        let means = self.attend(tiles, states, made, crew);
+        let counts: Vec<Vec<f32>> = means.iter().map(|mean| self.windows.split.counts(mean)).collect();
+        self.conclude(tiles, states, made, (&counts, forward), crew);
+    }
+
+    /// Adds attention over agents, and writes what windows of each size give to `made`. Returns the mean over the map of all
+    /// that they gave, by who asks.
+    pub fn attend(
+        &self,
+        tiles: Tiles,
+        states: &mut [State],
+        made: &mut [Vec<Vec<E>>],
+        crew: &mut Crew<E>,
+    ) -> Vec<Vec<f32>> {
         let asking = 0..made.len();
         let mut bands = bands(tiles, states, made);
-        each(&mut bands, workers, pool, |band, worker| {
+        crew.each(&mut bands, |band, worker| {
             tiles.across().for_each(|tile| band.attend(self, tile, worker));
         });
         // A sum for each band, so that threads change no order.
-        let counts = asking.map(|asks| {
+        let means = asking.map(|asks| {
             let sums: Vec<&[f32]> = bands.iter().map(|band| &band.asking[asks].sums[..]).collect();
-            self.windows.split.counts(&mean(&sums, tiles.cells()))
+            mean(&sums, tiles.cells())
         });
-        let counts: Vec<Vec<f32>> = counts.collect();
-        each(&mut bands, workers, pool, |band, worker| {
+        means.collect()
+    }
+
+    /// Adds what windows gave, by how much each size counts, and what the feed-forward makes of it.
+    pub fn conclude(
+        &self,
+        tiles: Tiles,
+        states: &mut [State],
+        made: &mut [Vec<Vec<E>>],
+        (counts, forward): (&[Vec<f32>], Option<&Forward<E>>),
+        crew: &mut Crew<E>,
+    ) {
+        crew.each(&mut bands(tiles, states, made), |band, worker| {
             tiles
                 .across()
-                .for_each(|tile| band.conclude(tile, &counts, forward, worker));
+                .for_each(|tile| band.conclude(tile, counts, forward, worker));
         });
     }
 }
@@ -109,20 +133,6 @@ fn bands<'a, E: Number>(tiles: Tiles, states: &'a mut [State], made: &'a mut [Ve
         }
     }
     bands
-}
-
-/// Does something with every band, each worker with its own.
-fn each<E: Number>(
-    bands: &mut [Band<E>],
-    workers: &mut [Worker<E>],
-    pool: &mut Pool,
-    work: impl Fn(&mut Band<E>, &mut Worker<E>) + Sync,
-) {
-    let count = bands.len();
-    let shares = split(bands, 1, count, workers.len(), 1).into_iter().zip(workers);
-    pool.each(shares.collect(), |(share, worker)| {
-        share.data.iter_mut().for_each(|band| work(band, worker));
-    });
 }
 
 impl<E: Number> Band<'_, E> {

@@ -32,7 +32,7 @@ impl<E: Number> Forward<E> {
 
 dispatch! {
     /// `to` has `stored` numbers for each cell of `channels`.
-    fn gelu<E: Number>(from: &[f32], channels: usize, stored: usize, to: &mut [E]) {
+    pub fn gelu<E: Number>(from: &[f32], channels: usize, stored: usize, to: &mut [E]) {
         for (from, to) in from.chunks_exact(channels).zip(to.chunks_exact_mut(stored)) {
             for (from, to) in from.iter().zip(to) {
                 *to = E::from_f32(0.5 * from * (1.0 + erf(from * std::f32::consts::FRAC_1_SQRT_2)));

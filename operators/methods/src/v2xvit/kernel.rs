@@ -16,7 +16,7 @@ use super::blocks::Block;
 use super::forward::Forward;
 use super::settings::Window;
 use super::state::State;
-use super::tiles::{Tiles, Worker};
+use super::tiles::{Crew, Tiles, Worker};
 use crate::method::Fuse;
 
 /// A transformer that is ready to run; maps are computed in `E`, what is added up in f32.
@@ -80,7 +80,13 @@ impl<E: Number> Fuse for Transformer<E> {
                 let made = &mut made[..asking];
                 let maps = made.iter_mut().flatten();
                 maps.for_each(|map| map.resize(tiles.cells() * stored, E::default()));
-                block.run(tiles, states, made, ends.then_some(&round.forward), workers, pool);
+                block.run(
+                    tiles,
+                    states,
+                    made,
+                    ends.then_some(&round.forward),
+                    &mut Crew { workers, pool },
+                );
             }
         }
         std::mem::take(&mut states[0].map)

@@ -47,13 +47,13 @@ impl<E: Number> Transformer<E> {
 }
 
 /// Reads layers from weights.
-struct Load<'a> {
-    weights: &'a Weights,
-    isa: Isa,
+pub struct Load<'a> {
+    pub weights: &'a Weights,
+    pub isa: Isa,
 }
 
 impl Load<'_> {
-    fn tensor(&self, key: &str) -> Vec<f32> {
+    pub fn tensor(&self, key: &str) -> Vec<f32> {
         self.weights.tensor(key).to_vec()
     }
 
@@ -65,7 +65,7 @@ impl Load<'_> {
     }
 
     /// A layer of `[outputs, inputs]` and, if it has some, biases.
-    fn numbers(&self, key: &str, inputs: usize) -> (Vec<f32>, Vec<f32>) {
+    pub fn numbers(&self, key: &str, inputs: usize) -> (Vec<f32>, Vec<f32>) {
         let weights = self.tensor(&format!("{key}.weight"));
         let bias = self.weights.find(&format!("{key}.bias"));
         let none = || vec![0.0; weights.len() / inputs];
@@ -101,6 +101,30 @@ impl Load<'_> {
         }
     }
 
+    /// The layer for keys and values of a kind that is asked, as its relation to the kind that asks changes them.
+    pub fn answers(
+        &self,
+        key: &str,
+        settings: &Settings,
+        channels: usize,
+        [asks, asked]: [usize; 2],
+    ) -> (Vec<f32>, Vec<f32>) {
+        let (heads, width) = (settings.heads, settings.head_width);
+        let size = heads * width * width;
+        let answer = |part: &str, relation: &str, from_left: bool| {
+            let layer = self.numbers(&format!("{key}.fn.{part}_linears.{asked}"), channels);
+            let matrices = self.weights.tensor(&format!("{key}.fn.{relation}"));
+            let matrices = &matrices[(asks * KINDS + asked) * size..][..size];
+            related(&layer, matrices, [heads, width], from_left)
+        };
+        // q · (A k), and v M: a row of numbers times a matrix.
+        let (mut weights, mut bias) = answer("k", "relation_att", false);
+        let (of_values, bias_of_values) = answer("v", "relation_msg", true);
+        weights.extend(of_values);
+        bias.extend(bias_of_values);
+        (weights, bias)
+    }
+
     fn agents<E: Kernel<f32>>(&self, key: &str, settings: &Settings, channels: usize) -> OverAgents<E> {
         let linear = |part: &str, kind: usize| self.numbers(&format!("{key}.fn.{part}_linears.{kind}"), channels);
         let all = |part: &str| {
@@ -108,24 +132,11 @@ impl Load<'_> {
                 .map(|kind| self.packed(linear(part, kind), channels))
                 .collect()
         };
-        let (heads, width) = (settings.heads, settings.head_width);
-        let [keys, values] = ["relation_att", "relation_msg"].map(|name| self.tensor(&format!("{key}.fn.{name}")));
-        let answers = |asks: usize| {
-            let answer = |asked: usize| {
-                let relation = asks * KINDS + asked;
-                let of = |tensor: &[f32]| tensor[relation * heads * width * width..][..heads * width * width].to_vec();
-                // q · (A k), and v M: a row of numbers times a matrix.
-                let (mut weights, mut bias) = related(&linear("k", asked), &of(&keys), [heads, width], false);
-                let (of_values, bias_of_values) = related(&linear("v", asked), &of(&values), [heads, width], true);
-                weights.extend(of_values);
-                bias.extend(bias_of_values);
-                self.packed((weights, bias), channels)
-            };
-            (0..KINDS).map(answer).collect()
-        };
+        let answer = |relation| self.packed(self.answers(key, settings, channels, relation), channels);
+        let answers = |asks| (0..KINDS).map(|asked| answer([asks, asked])).collect();
         OverAgents {
             norm: self.norm(&format!("{key}.norm")),
-            heads,
+            heads: settings.heads,
             queries: all("q"),
             answers: (0..KINDS).map(answers).collect(),
             outputs: all("a"),

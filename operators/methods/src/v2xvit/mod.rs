@@ -3,6 +3,7 @@
 mod agents;
 mod beginning;
 mod blocks;
+mod descent;
 mod forward;
 mod kernel;
 mod keys;
@@ -23,7 +24,7 @@ mod tensor_windows;
 mod tiles;
 mod windows;
 
-use realo_kernels::conv::Bf16;
+use realo_kernels::conv::{Bf16, Isa};
 use realo_nn::layers::{FuseLayer, MapSize};
 use realo_nn::model::{Problems, Sharing};
 use realo_nn::tensors::TensorSpec;
@@ -35,9 +36,10 @@ pub use parts::{Asking, Parts};
 pub use reference::numbers_of;
 pub use settings::{Settings, Window};
 
-use crate::method::{Arithmetic, Fuse, Method};
+use crate::method::{Arithmetic, Descent, Fuse, Method};
 #[cfg(feature = "candle")]
 use crate::tensors::{self, Tensors};
+use descent::Learner;
 use kernel::Transformer;
 
 impl Method for Settings {
@@ -69,6 +71,10 @@ impl Method for Settings {
             true => Box::new(Transformer::<Bf16>::new(self, layer.channels, weights, on.isa)),
             false => Box::new(Transformer::<f32>::new(self, layer.channels, weights, on.isa)),
         }
+    }
+
+    fn descent(&self, layer: &FuseLayer, weights: &Weights) -> Option<Box<dyn Descent>> {
+        Some(Box::new(Learner::new(self, layer.channels, weights, Isa::detect())))
     }
 
     #[cfg(feature = "candle")]

@@ -47,6 +47,13 @@ impl Window {
     pub fn width(&self) -> usize {
         self.heads * self.head_width
     }
+
+    /// Where in a table of `[2 side - 1, 2 side - 1]` the offset from a cell that asks to one that is asked is.
+    pub(super) fn offset(&self, asks: usize, asked: usize) -> usize {
+        let side = self.side;
+        let along = |asks: usize, asked: usize| asked + side - 1 - asks;
+        along(asks / side, asked / side) * (2 * side - 1) + along(asks % side, asked % side)
+    }
 }
 
 impl Default for Settings {

@@ -1,9 +1,10 @@
 //! Tiles of a map: the cells that a worker takes through one layer after the other while they lie in its cache.
 
 use std::ops::Range;
+use std::sync::Mutex;
 
-use realo_kernels::cells::Linear;
-use realo_kernels::conv::{Map, Packed, Pool};
+use realo_kernels::cells::{Linear, line_mut};
+use realo_kernels::conv::{Map, Packed, Pool, lock};
 use realo_kernels::number::Number;
 
 use super::settings::Window;
@@ -35,6 +36,11 @@ impl Tile {
 
     pub fn cells(self) -> usize {
         self.rows * self.columns
+    }
+
+    /// Its cells as a map of their own.
+    pub fn alone(self) -> Self {
+        Tile::whole([self.rows, self.columns])
     }
 
     /// Its part of each of its rows of a map; `numbers` of a cell.
@@ -162,11 +168,40 @@ impl<E: Number> Worker<E> {
         to
     }
 
+    /// The cells of a tile from its rows of a map.
+    pub fn gather(&mut self, tile: Tile, rows: &[f32], channels: usize) -> Map<f32> {
+        let mut to = self.single(tile.cells(), channels);
+        let lines = line_mut(&mut to).chunks_exact_mut(tile.columns * channels);
+        tile.lines(rows, channels)
+            .zip(lines)
+            .for_each(|(from, to)| to.copy_from_slice(from));
+        to
+    }
+
     /// As [`Worker::run`], in the transformer's numbers.
     pub fn run_own(&mut self, layer: &Packed<E>, from: &Map<E>) -> Map<E> {
         let mut to = self.own(from.columns, layer.outputs());
         layer.run(&mut self.alone, from.view(), &mut to, 0);
         to
+    }
+}
+
+/// Threads, with a worker for each.
+pub struct Crew<'a, E> {
+    pub workers: &'a mut [Worker<E>],
+    pub pool: &'a mut Pool,
+}
+
+impl<E: Number> Crew<'_, E> {
+    /// Does something with every item; a worker that has finished one takes the next.
+    pub fn each<T: Send>(&mut self, items: &mut [T], work: impl Fn(&mut T, &mut Worker<E>) + Sync) {
+        let queue = Mutex::new(items.iter_mut());
+        self.pool.each(self.workers.iter_mut().collect(), |worker| {
+            loop {
+                let Some(item) = lock(&queue).next() else { break };
+                work(item, worker);
+            }
+        });
     }
 }
 

@@ -17,10 +17,11 @@ pub struct OverWindows<E> {
 }
 
 pub struct Within<E> {
-    window: Window,
-    positions: Vec<Lanes>,
-    all: Linear<E>,
-    output: Packed<E>,
+    pub window: Window,
+    /// What the offset from who asks to who is asked adds to a score: blocks of those who ask, for each who is asked.
+    pub positions: Vec<Lanes>,
+    pub all: Linear<E>,
+    pub output: Packed<E>,
 }
 
 /// How much each attention over windows counts, by channel.
@@ -31,8 +32,8 @@ pub struct Split {
 }
 
 /// Those who ask side by side.
-type Lanes = [f32; LANES];
-const LANES: usize = 16;
+pub type Lanes = [f32; LANES];
+pub const LANES: usize = 16;
 
 impl<E: Number> OverWindows<E> {
     /// What windows of each size give the cells of a tile; `rows` are its rows of the map.
@@ -48,11 +49,10 @@ impl<E: Number> OverWindows<E> {
 impl<E: Number> Within<E> {
     /// `positions`: `[2 side - 1, 2 side - 1]`, by the offset from who asks to who is asked.
     pub fn new(window: Window, positions: &[f32], all: Linear<E>, output: Packed<E>) -> Self {
-        let (side, cells) = (window.side, window.side * window.side);
-        let position = |asks: usize, asked: usize| {
-            let offset = |of: fn(usize, usize) -> usize| of(asked, side) + side - 1 - of(asks, side);
-            let at = offset(std::ops::Div::div) * (2 * side - 1) + offset(std::ops::Rem::rem);
-            if asks < cells { positions[at] } else { 0.0 }
+        let cells = window.side * window.side;
+        let position = |asks: usize, asked: usize| match asks < cells {
+            true => positions[window.offset(asks, asked)],
+            false => 0.0,
         };
         let blocks = (0..cells)
             .step_by(LANES)
@@ -90,7 +90,7 @@ impl<E: Number> Within<E> {
 dispatch! {
     /// Attention within the windows of a tile of so many columns. `all` has queries, keys and values of each cell; `positions`
     /// those who ask in lanes, for each who is asked; `to` has `stored` numbers for each cell.
-    fn attend<E: Number>(
+    pub fn attend<E: Number>(
         window: Window, columns: usize, all: &[f32], positions: &[Lanes], stored: usize, to: &mut [E],
     ) {
         let Window { side, heads, head_width } = window;
@@ -136,6 +136,7 @@ dispatch! {
                             64.. => write(&mean::<64>(scores, lane, values)),
                             32.. => write(&mean::<32>(scores, lane, values)),
                             16.. => write(&mean::<16>(scores, lane, values)),
+                            8.. => write(&mean::<8>(scores, lane, values)),
                             _ => write(&mean::<1>(scores, lane, values)),
                         };
                     }
@@ -147,7 +148,7 @@ dispatch! {
 
 /// Products of queries, `[head width]` of lanes, with a key.
 #[inline(always)]
-fn score(queries: &[Lanes], key: &[f32]) -> Lanes {
+pub fn score(queries: &[Lanes], key: &[f32]) -> Lanes {
     let mut sums = [0.0; LANES];
     for (queries, key) in queries.iter().zip(key) {
         sums.iter_mut()
@@ -159,7 +160,7 @@ fn score(queries: &[Lanes], key: &[f32]) -> Lanes {
 
 /// Makes weights of scores, but for the factors that it returns.
 #[inline(always)]
-fn weights(scores: &mut [Lanes], positions: &[Lanes]) -> Lanes {
+pub fn weights(scores: &mut [Lanes], positions: &[Lanes]) -> Lanes {
     let mut max = [f32::NEG_INFINITY; LANES];
     for (scores, positions) in scores.iter_mut().zip(positions) {
         for ((score, position), max) in scores.iter_mut().zip(positions).zip(&mut max) {
