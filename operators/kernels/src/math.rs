@@ -64,7 +64,8 @@ pub fn product(a: &[f32], b: &[f32]) -> f32 {
             *sum += a * b;
         }
     }
-    a_rest.iter().zip(b_rest).fold(lanes(sums), |sum, (a, b)| sum + a * b)
+    let sum = if a_lanes.is_empty() { 0.0 } else { lanes(sums) };
+    a_rest.iter().zip(b_rest).fold(sum, |sum, (a, b)| sum + a * b)
 }
 
 /// The sum.

@@ -23,10 +23,12 @@ pub trait Element: Copy + Default + Send + Sync + 'static {
 impl Element for f32 {
     const PER_UNIT: usize = 1;
 
+    #[inline]
     fn from_f32(value: f32) -> Self {
         value
     }
 
+    #[inline]
     fn to_f32(self) -> f32 {
         self
     }

@@ -7,7 +7,7 @@ use realo_kernels::simd::dispatch;
 
 use super::super::norm::{LAYER_NORM_EPS, Norm};
 use super::super::tiles::Worker;
-use super::super::windows::sum_up;
+use super::rows::add_rows;
 use super::sums::Sums;
 
 /// The way back through a linear layer.
@@ -36,47 +36,29 @@ impl LinearBack {
     pub fn run(&self, from: &Map<f32>, gradient: &Map<f32>, sums: &mut Sums, worker: &mut Worker<f32>) -> Map<f32> {
         let [outputs, inputs] = [gradient.channels, from.channels];
         let of_weights = sums.of(&self.weights, outputs * inputs);
-        add_products(line(gradient), line(from), [outputs, inputs], of_weights);
+        add_products(line(gradient), line(from), inputs, of_weights);
         if let Some(bias) = &self.bias {
-            sum_up(line(gradient), outputs, sums.of(bias, outputs));
+            add_cells(line(gradient), sums.of(bias, outputs));
         }
         worker.run(&self.turned, gradient)
     }
 }
 
-/// Outputs and inputs of a layer whose sums of products stay in registers.
-const HIGH: usize = 4;
-const WIDE: usize = 32;
-
 dispatch! {
     /// Adds products of cells' gradients and inputs to `[outputs, inputs]`.
-    fn add_products(gradient: &[f32], from: &[f32], size: [usize; 2], to: &mut [f32]) {
-        let [outputs, inputs] = size;
-        for (output, input) in (0..outputs).step_by(HIGH).flat_map(|o| (0..inputs).step_by(WIDE).map(move |i| (o, i))) {
-            let (high, wide) = ((outputs - output).min(HIGH), (inputs - input).min(WIDE));
-            let cells = gradient.chunks_exact(outputs).zip(from.chunks_exact(inputs));
-            let mut sums = [[0.0f32; WIDE]; HIGH];
-            if (high, wide) == (HIGH, WIDE) {
-                for (gradient, from) in cells {
-                    let gradient = &gradient[output..][..HIGH];
-                    let from = &from[input..][..WIDE];
-                    for (sums, gradient) in sums.iter_mut().zip(gradient) {
-                        sums.iter_mut().zip(from).for_each(|(sum, from)| *sum += gradient * from);
-                    }
-                }
-            } else {
-                for (gradient, from) in cells {
-                    for (sums, gradient) in sums.iter_mut().zip(&gradient[output..][..high]) {
-                        let from = &from[input..][..wide];
-                        sums.iter_mut().zip(from).for_each(|(sum, from)| *sum += gradient * from);
-                    }
-                }
-            }
-            for (row, sums) in sums.iter().enumerate().take(high) {
-                let to = &mut to[(output + row) * inputs + input..][..wide];
-                to.iter_mut().zip(sums).for_each(|(to, sum)| *to += sum);
-            }
+    fn add_products(gradient: &[f32], from: &[f32], inputs: usize, to: &mut [f32]) {
+        let (outputs, cells) = (to.len() / inputs, from.len() / inputs);
+        for (output, to) in to.chunks_exact_mut(inputs).enumerate() {
+            add_rows(cells, |cell| gradient[cell * outputs + output], |cell| &from[cell * inputs..][..inputs], to);
         }
+    }
+}
+
+dispatch! {
+    /// Adds cells to a sum of each channel.
+    fn add_cells(cells: &[f32], to: &mut [f32]) {
+        let channels = to.len();
+        add_rows(cells.len() / channels, |_| 1.0, |cell| &cells[cell * channels..][..channels], to);
     }
 }
 

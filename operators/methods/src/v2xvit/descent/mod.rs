@@ -9,6 +9,7 @@ mod blocks;
 mod forward;
 mod layer;
 mod load;
+mod rows;
 mod split;
 mod sums;
 mod windows;

@@ -9,6 +9,7 @@ use super::super::tiles::{Tile, Worker};
 use super::super::windows::{LANES, Lanes, OverWindows, Within, attend, score, weights};
 use super::agents::add;
 use super::layer::{LinearBack, NormBack};
+use super::rows::add_rows;
 use super::split::SplitBack;
 use super::sums::Sums;
 
@@ -147,37 +148,4 @@ fn lead_through_shares(factors: Lanes, shares: &mut [Lanes], of_scores: &mut [La
             *of_position += *of_score;
         }
     }
-}
-
-/// Adds so many rows, each by its weight.
-#[inline(always)]
-fn add_rows<'a>(count: usize, weight: impl Fn(usize) -> f32, row: impl Fn(usize) -> &'a [f32], to: &mut [f32]) {
-    let mut from = 0;
-    while from < to.len() {
-        let to = &mut to[from..];
-        let row = |index| &row(index)[from..];
-        from += match to.len() {
-            16.. => add_parts::<16>(count, &weight, row, to),
-            8.. => add_parts::<8>(count, &weight, row, to),
-            _ => add_parts::<1>(count, &weight, row, to),
-        };
-    }
-}
-
-/// Adds the first numbers of rows; how many.
-#[inline(always)]
-fn add_parts<'a, const D: usize>(
-    count: usize,
-    weight: impl Fn(usize) -> f32,
-    row: impl Fn(usize) -> &'a [f32],
-    to: &mut [f32],
-) -> usize {
-    let mut sums = [0.0; D];
-    for index in 0..count {
-        let weight = weight(index);
-        let row = row(index)[..D].iter();
-        sums.iter_mut().zip(row).for_each(|(sum, value)| *sum += value * weight);
-    }
-    to.iter_mut().zip(&sums).for_each(|(to, sum)| *to += sum);
-    D
 }
