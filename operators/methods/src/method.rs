@@ -121,7 +121,7 @@ pub trait Descent: Send + Sync {
 pub type Back = Box<dyn FnOnce(&[Agent], &[f32], &mut Pool) -> Gradients + Send>;
 
 /// The gradients of what a map was fused of.
-#[derive(Debug)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct Gradients {
     /// Of the maps, the ego's first.
     pub maps: Vec<Vec<f32>>,

@@ -265,7 +265,7 @@ fn gradients_lead_through_the_transformer_to_all_weights_that_count() -> candle_
     Ok(())
 }
 
-/// What leads gradients back in training: kernels of its own if a method has some.
+/// Whether a method leads gradients back by kernels; they find what candle finds, with the same bits on any threads.
 fn assert_gradients_agree(model: &Model) -> candle_core::Result<bool> {
     let layers = Layers::of(model);
     let method = model.arch.method().expect("it fuses");
@@ -275,38 +275,38 @@ fn assert_gradients_agree(model: &Model) -> candle_core::Result<bool> {
     };
     let maps = [1, 2, 3, 4].map(|seed| map(seed, layers.size(layers.restored)));
     let along = map(9, layers.size(layers.fused)).data;
-    for count in 1..=4 {
-        let expected = gradients_of_operation(model, &weights, &crowd(&maps[..count]), &along)?;
-        for threads in [1, 3] {
-            let (agents, mut pool) = (crowd(&maps[..count]), Pool::new(threads));
-            let what = format!("{}: {count} agents on {threads} threads", model.name);
+    for count in [1, 2, 4] {
+        let (agents, what) = (crowd(&maps[..count]), format!("{}, {count} agents", model.name));
+        let expected = gradients_of_operation(model, &weights, &agents, &along)?;
+        let [found, on_threads] = [1, 3].map(|threads| {
+            let mut pool = Pool::new(threads);
             let (fused, back) = descent.run(&agents, &mut pool);
             assert_near(&fused, &expected.fused, &what);
-            let found = back(&agents, &along, &mut pool);
-            for (index, (found, expected)) in found.maps.iter().zip(&expected.maps).enumerate() {
-                match index < 3 {
-                    true => assert_near_enough(found, expected, &format!("{what}: map {index}")),
-                    false => assert!(found.iter().all(|number| *number == 0.0), "{what}: map {index}"),
-                }
+            back(&agents, &along, &mut pool)
+        });
+        assert!(found == on_threads, "{what}: threads change bits");
+        for (index, (found, expected)) in found.maps.iter().zip(&expected.maps).enumerate() {
+            match index < 3 {
+                true => assert_near_enough(found, expected, &format!("{what}: map {index}")),
+                false => assert!(found.iter().all(|number| *number == 0.0), "{what}: map {index}"),
             }
-            let keys = |of: &BTreeMap<String, Vec<f32>>| of.keys().cloned().collect::<Vec<_>>();
-            assert_eq!(keys(&found.tensors), keys(&expected.tensors), "{what}");
-            for (key, expected) in &expected.tensors {
-                assert_near_enough(&found.tensors[key], expected, &format!("{what}: {key}"));
-            }
+        }
+        assert!(found.tensors.keys().eq(expected.tensors.keys()), "{what}");
+        for (key, found) in &found.tensors {
+            assert_near_enough(found, &expected.tensors[key], &format!("{what}: {key}"));
         }
     }
     Ok(true)
 }
 
-/// A gradient is a sum over cells whose terms may cancel: a part of them is lost in rounding.
+/// As [`assert_near`], of gradients, which may be 0: where their terms cancel, rounding is left.
 fn assert_near_enough(found: &[f32], expected: &[f32], what: &str) {
     assert_eq!(found.len(), expected.len(), "{what}");
     let size = expected.iter().fold(0.0f32, |size, value| size.max(value.abs()));
     for (index, (found, expected)) in found.iter().zip(expected).enumerate() {
         let apart = (found - expected).abs();
         assert!(
-            apart <= 1e-4 * size + 1e-4,
+            apart <= 2.0 * TOLERANCE * size + TOLERANCE,
             "{what}, {index}: {found}, expected {expected} of {size}"
         );
     }

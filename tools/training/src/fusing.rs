@@ -11,7 +11,7 @@ use realo_kernels::bev::BevMap;
 use realo_kernels::conv::Pool;
 use realo_methods::method::{Back, Descent};
 use realo_methods::tensors::{Agent, AgentMap, OwnMap, Tensors};
-use realo_methods::{Arch, Kernels, Loaded, Model};
+use realo_methods::{AnyMethod, Arch, Kernels, Loaded, Model};
 use realo_nn::layers::FuseLayer;
 use realo_nn::model::{ClassAnchor, Grid};
 use realo_nn::tensors::TensorSpec;
@@ -180,11 +180,24 @@ pub(crate) fn fuse(
     };
     let weights = layer.tensors.iter().map(numbers);
     let weights = Weights::of_part(weights.collect::<candle_core::Result<_>>()?);
-    if let Some(fusion) = method.descent(layer, &weights) {
-        let value = |spec: &TensorSpec| (spec.key.clone(), network.value(&spec.key).clone());
-        let weights = layer.tensors.iter().map(value).collect();
-        return fuse_by_kernel(fusion, tape, (maps, weights), shape, parties);
+    match method.descent(layer, &weights) {
+        Some(fusion) => {
+            let own = |spec: &TensorSpec| (spec.key.clone(), network.value(&spec.key).clone());
+            let weights = layer.tensors.iter().map(own).collect();
+            fuse_by_kernel(fusion, tape, (maps, weights), shape, parties)
+        }
+        None => fuse_by_operation(network, tape, (method, layer), (maps, shape), parties),
     }
+}
+
+/// As [`fuse`], of a fusion that candle leads gradients back through.
+fn fuse_by_operation(
+    network: &Network,
+    tape: &mut Tape,
+    (method, layer): (&dyn AnyMethod, &FuseLayer),
+    (maps, shape): (&Tensor, MapShape),
+    parties: &[Vec<Member>],
+) -> candle_core::Result<Tensor> {
     let records = tape.records();
     let variable = |value: Tensor| match records {
         true => Var::from_tensor(&value).map(Var::into_inner),
@@ -251,13 +264,13 @@ fn fuse_by_kernel(
     let mut made = buffer(to.len());
     let ways_back: Vec<Back> = with_numbers(maps, |numbers| {
         let samples = samples(&parties).zip(made.par_chunks_exact_mut(to.image()));
-        let fuse = |((first, party), image): ((usize, &Vec<Member>), &mut [f32])| {
+        let ways_back = samples.map(|((first, party), image)| {
             let maps = own_maps(&shape, numbers, first, party);
             let (fused, back) = fusion.run(&agents(party, &maps), &mut pool());
             outer(&to, image, &fused);
             back
-        };
-        Ok(samples.map(fuse).collect())
+        });
+        Ok(ways_back.collect())
     })?;
     let made = tensor(made, to.dims())?;
     let maps = maps.clone();
@@ -268,20 +281,17 @@ fn fuse_by_kernel(
             .iter()
             .map(|party| images.by_ref().take(party.len()).collect())
             .collect();
-        let samples = samples(&parties).zip(of_samples).zip(ways_back).enumerate();
         let of_weights: Vec<_> = with_numbers(&maps, |numbers| {
             with_numbers(gradient, |gradient| {
-                let lead = |(sample, (((first, party), images), back)): (
-                    usize,
-                    (((usize, &Vec<Member>), Vec<&mut [f32]>), Back),
-                )| {
+                let samples = samples(&parties).zip(of_samples).zip(ways_back).enumerate();
+                let of_weights = samples.map(|(sample, (((first, party), images), back))| {
                     let maps = own_maps(&shape, numbers, first, party);
                     let found = back(&agents(party, &maps), &inner(&to, gradient, sample), &mut pool());
                     let images = images.into_iter().zip(found.maps);
                     images.for_each(|(image, cells)| outer(&shape, image, &cells));
                     found.tensors
-                };
-                Ok(samples.map(lead).collect())
+                });
+                Ok(of_weights.collect())
             })
         })?;
         let mut gradients = vec![(maps.id(), tensor(of_maps, shape.dims())?)];
