@@ -28,6 +28,7 @@ fn models() -> Vec<Model> {
     let files = std::fs::read_dir(folder).unwrap().map(|entry| entry.unwrap().path());
     let mut files: Vec<_> = files
         .filter(|path| path.extension().is_some_and(|end| end == "toml"))
+        .filter(|path| !path.to_string_lossy().ends_with(".recipe.toml"))
         .collect();
     files.sort();
     let small = |path: &std::path::PathBuf| {

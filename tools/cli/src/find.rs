@@ -111,6 +111,8 @@ fn names_in(folder: &Path, shipped: Shipped) -> Vec<String> {
     let named = files.filter(|path| path.extension().is_some_and(|ending| ending == shipped.endings[0]));
     let mut names: Vec<String> = named
         .filter_map(|path| Some(path.file_stem()?.to_str()?.to_string()))
+        // It lies beside the models that it makes.
+        .filter(|name| !name.ends_with(".recipe"))
         .collect();
     names.sort();
     names
