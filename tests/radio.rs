@@ -90,7 +90,7 @@ fn late_fusion_over_zenoh() {
 /// 76 ms behind the ego's, which fuses those before.
 fn assert_same_boxes(strategy: &str, projected_by: &str, sender: &[&str], roadside: &[&str], banks: &[&str]) {
     let _share = three_quarters();
-    let args = "--seed 923 --seconds 8 --phase spread --key-hz 1 --key-sweeps-only --agents cav1,rsu1";
+    let args = "--seed 923 --seconds 10 --phase spread --key-hz 1 --key-sweeps-only --agents cav1,rsu1";
     let (log, port) = (
         simulated("radio_slow", &args.split(' ').collect::<Vec<_>>()),
         free_port(),

@@ -276,7 +276,7 @@ fn assert_gradients_agree(model: &Model) -> candle_core::Result<bool> {
     };
     let maps = [1, 2, 3, 4].map(|seed| map(seed, layers.size(layers.restored)));
     let along = map(9, layers.size(layers.fused)).data;
-    for count in [1, 2, 4] {
+    for count in 1..=4 {
         let (agents, what) = (crowd(&maps[..count]), format!("{}, {count} agents", model.name));
         let expected = gradients_of_operation(model, &weights, &agents, &along)?;
         let [found, on_threads] = [1, 3].map(|threads| {
@@ -288,6 +288,8 @@ fn assert_gradients_agree(model: &Model) -> candle_core::Result<bool> {
         assert!(found == on_threads, "{what}: threads change bits");
         for (index, (found, expected)) in found.maps.iter().zip(&expected.maps).enumerate() {
             match index < 3 {
+                // Sums of few terms, which rounding does not reach.
+                true if layer.tensors.is_empty() => assert_near(found, expected, &format!("{what}: map {index}")),
                 true => assert_near_enough(found, expected, &format!("{what}: map {index}")),
                 false => assert!(found.iter().all(|number| *number == 0.0), "{what}: map {index}"),
             }

@@ -20,17 +20,18 @@ pub(crate) fn as_wide_as(other: &Model, model: &Model) -> Model {
     model.pillars.channels = other.pillars.channels;
     model.backbone.channels.clone_from(&other.backbone.channels);
     model.backbone.up_channels.clone_from(&other.backbone.up_channels);
-    for (layer, other) in model.shrink.iter_mut().zip(&other.shrink) {
+    let plain = model.shrink.iter_mut().zip(&other.shrink);
+    for (layer, other) in plain.chain(model.refine.iter_mut().zip(&other.refine)) {
         layer.channels = other.channels;
     }
     model
 }
 
-/// Whether each map has at least as many channels as that of a model which differs in channels only.
+/// Whether each map has at least as many channels as that of a model which differs in channels only; one with more layers does not.
 pub(crate) fn is_wider(model: &Model, narrow: &Model) -> bool {
     let (wide, narrow) = (Layers::of(model), Layers::of(narrow));
     let mut steps = wide.steps().iter().zip(narrow.steps());
-    steps.all(|(a, b)| wide.size(a.to)[2] >= narrow.size(b.to)[2])
+    wide.steps().len() == narrow.steps().len() && steps.all(|(a, b)| wide.size(a.to)[2] >= narrow.size(b.to)[2])
 }
 
 /// The weights of a model that [is wider](is_wider) than the one whose weights are given, and computes the same.
@@ -134,6 +135,14 @@ mod tests {
         model.shrink[0].channels = shrink;
         model.validate().unwrap();
         model
+    }
+
+    #[test]
+    fn one_with_more_layers_is_no_wider_one() {
+        let narrow = narrow();
+        let mut refining = narrow.clone();
+        refining.refine = narrow.shrink.clone();
+        assert!(is_wider(&narrow, &narrow) && !is_wider(&refining, &narrow));
     }
 
     /// A network of other numbers in each channel.

@@ -41,7 +41,7 @@ impl<A: Architecture> Model<A> {
         if problems.0.is_empty() {
             let numbers = Layers::of(self).numbers();
             problems.require(numbers <= MOST_NUMBERS, || {
-                format!("grid, pillars, backbone, shrink: expected maps of at most {MOST_NUMBERS} numbers in all, found {numbers}")
+                format!("grid, pillars, backbone, shrink, refine: expected maps of at most {MOST_NUMBERS} numbers in all, found {numbers}")
             });
         }
         if problems.0.is_empty() && (self.precision == Precision::Int8 || !self.activations.is_empty()) {

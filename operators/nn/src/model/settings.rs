@@ -55,7 +55,7 @@ pub struct Model<A> {
     /// Convolutions with bias and ReLU after the backbone; none if empty.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub shrink: Vec<Shrink>,
-    /// Convolutions with bias and ReLU between the fused map and the heads; none if empty.
+    /// Convolutions with bias and ReLU before the heads, behind the fusion where there is one; none if empty.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub refine: Vec<Shrink>,
     /// The largest number that bytes keep of each layer's results, by the layer's key; for `precision = "int8"`.

@@ -35,6 +35,14 @@ def point_pillars(reported):
         layers = [nn.Conv2d(inputs, outputs, kernel, stride, kernel // 2, bias=False), nn.BatchNorm2d(outputs), nn.ReLU()]
         return nn.Sequential(*layers)
 
+    def plain(inputs, settings):
+        layers = []
+        for layer in settings:
+            kernel, outputs = layer["kernel"], layer["channels"]
+            layers += [nn.Conv2d(inputs, outputs, kernel, padding=kernel // 2), nn.ReLU()]
+            inputs = outputs
+        return layers, inputs
+
     def upsampling(inputs, outputs, stride):
         up = nn.ConvTranspose2d(inputs, outputs, stride, stride, bias=False)
         return nn.Sequential(up, nn.BatchNorm2d(outputs), nn.ReLU())
@@ -51,17 +59,9 @@ def point_pillars(reported):
                 ups.append(upsampling(channels, up_channels, up_stride))
                 inputs = channels
             self.blocks, self.ups = nn.ModuleList(blocks), nn.ModuleList(ups)
-            channels, shrink = sum(backbone["up_channels"]), []
-            for layer in reported["shrink"]:
-                kernel = layer["kernel"]
-                shrink += [nn.Conv2d(channels, layer["channels"], kernel, padding=kernel // 2), nn.ReLU()]
-                channels = layer["channels"]
+            shrink, channels = plain(sum(backbone["up_channels"]), reported["shrink"])
             self.shrink = nn.Sequential(*shrink)
-            refine = []
-            for layer in reported.get("refine", []):
-                kernel = layer["kernel"]
-                refine += [nn.Conv2d(channels, layer["channels"], kernel, padding=kernel // 2), nn.ReLU()]
-                channels = layer["channels"]
+            refine, channels = plain(channels, reported["refine"])
             heads = nn.Conv2d(channels, reported["outputs"], 1) if reported["outputs"] else nn.Identity()
             self.heads = nn.Sequential(*refine, heads)
 

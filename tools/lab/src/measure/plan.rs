@@ -36,8 +36,6 @@ pub struct Plan {
     pub name: String,
     /// In the order in which they run.
     pub jobs: Vec<Job>,
-    /// Folder of the page, relative to the root.
-    folder: String,
 }
 
 impl Plan {
@@ -46,11 +44,9 @@ impl Plan {
     /// # Errors
     /// A placeholder without a value.
     pub fn new(name: &str, page: &Page) -> Result<Self> {
-        let folder = format!("{FOLDER}/{name}");
         let mut plan = Plan {
             name: name.into(),
             jobs: Vec::new(),
-            folder,
         };
         for step in &page.steps {
             let values = match &step.each {
@@ -111,7 +107,7 @@ impl Plan {
 
     /// The folder of the page.
     pub fn folder(&self, root: &Path) -> PathBuf {
-        root.join(&self.folder)
+        root.join(FOLDER).join(&self.name)
     }
 
     /// What is locked while the page is measured.
@@ -121,7 +117,7 @@ impl Plan {
 
     /// Where a step writes, relative to the root.
     pub fn place(&self, step: &str) -> String {
-        format!("{}/{step}", self.folder)
+        format!("{FOLDER}/{}/{step}", self.name)
     }
 
     /// What a step writes: a file or folder for each of its commands.

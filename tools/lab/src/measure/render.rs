@@ -58,7 +58,7 @@ impl Sheet<'_> {
     /// As [`Sheet::markdown`].
     pub fn drawings(&self) -> Result<Vec<(String, PathBuf)>> {
         let drawing = |curves: &Curves| {
-            let (_, file) = self.results.curves(&curves.step, &curves.setting)?;
+            let file = self.results.drawing(&curves.step, &curves.setting)?;
             Ok((self.drawing(curves), file))
         };
         self.page.curves.iter().map(drawing).collect()
@@ -74,7 +74,7 @@ impl Sheet<'_> {
             .about
             .as_deref()
             .map_or(Ok(String::new()), |about| self.filled(about.trim()))?;
-        let (table, _) = self.results.curves(&curves.step, &curves.setting)?;
+        let table = self.results.curves(&curves.step, &curves.setting)?;
         let parts = [
             format!("\n## {title}"),
             about,

@@ -58,20 +58,26 @@ impl<'a> Results<'a> {
         }
     }
 
-    /// What a sweep wrote of a setting: its curves as a table, and the file in which they are drawn.
+    /// The curves of a sweep over a setting, as a table in Markdown.
     ///
     /// # Errors
-    /// A step that is not there, and a file that cannot be read.
-    pub fn curves(&self, step: &str, setting: &str) -> Result<(String, PathBuf)> {
+    /// As [`Results::drawing`]; a file that cannot be read.
+    pub fn curves(&self, step: &str, setting: &str) -> Result<String> {
+        let file = self.drawing(step, setting)?.with_extension("md");
+        fs::read_to_string(&file).wrap_err_with(|| {
+            let found = file.display();
+            format!("{found}: expected what a sweep over `{setting}` wrote (--fresh measures it anew)")
+        })
+    }
+
+    /// The file in which they are drawn.
+    ///
+    /// # Errors
+    /// A step that is not there.
+    pub fn drawing(&self, step: &str, setting: &str) -> Result<PathBuf> {
         let job = self.plan.jobs.iter().find(|job| job.step == step);
         let job = job.ok_or_else(|| eyre!("there is no step `{step}`"))?;
-        let file = |ending: &str| self.root.join(&job.output).join(format!("{setting}.{ending}"));
-        let (table, drawing) = (file("md"), file("svg"));
-        let text = fs::read_to_string(&table).wrap_err_with(|| {
-            let found = table.display();
-            format!("{found}: expected what a sweep over `{setting}` wrote (--fresh measures it anew)")
-        })?;
-        Ok((text, drawing))
+        Ok(self.root.join(&job.output).join(format!("{setting}.svg")))
     }
 
     fn whole(&self, name: &str) -> Result<Value> {

@@ -105,20 +105,21 @@ impl SimulatedFrames {
         frames
             .iter()
             .enumerate()
-            .try_for_each(|(number, frame)| frame.write(&self.path(seed, number)))
+            .try_for_each(|(number, frame)| frame.write(&self.path(seed, number, self.earlier)))
     }
 
     /// The file of a frame that was made: one with earlier sweeps serves those who do not ask for them too.
     fn made(&self, seed: u64, number: usize) -> Option<PathBuf> {
-        let all = self.clone().with_earlier();
-        let mut paths = [self.path(seed, number), all.path(seed, number)].into_iter();
+        let mut paths = [self.earlier, true]
+            .map(|earlier| self.path(seed, number, earlier))
+            .into_iter();
         paths.find(|path| path.exists())
     }
 
-    fn path(&self, seed: u64, number: usize) -> PathBuf {
+    fn path(&self, seed: u64, number: usize, earlier: bool) -> PathBuf {
         // The number of frames is part of the name: it decides which moments they are.
         let (world, of) = (world(), self.per_seed);
-        let earlier = if self.earlier { "-and-earlier" } else { "" };
+        let earlier = if earlier { "-and-earlier" } else { "" };
         self.folder
             .join(format!("{world}-seed-{seed:06}-{number}-of-{of}{earlier}.frame"))
     }
@@ -145,7 +146,8 @@ impl Frames for SimulatedFrames {
             Some(path) => path,
             None => {
                 self.make(seed)?;
-                self.made(seed, number).unwrap_or_else(|| self.path(seed, number))
+                self.made(seed, number)
+                    .unwrap_or_else(|| self.path(seed, number, self.earlier))
             }
         };
         Frame::read(&made)
@@ -164,9 +166,9 @@ mod tests {
         let frame = all.load(0).unwrap();
         assert!(frame.earlier.is_some());
         assert_eq!(plain.load(0).unwrap().agents, frame.agents);
-        assert!(!plain.path(3, 0).exists(), "nothing is simulated twice");
-        fs::remove_file(all.path(3, 0)).unwrap();
+        assert!(!plain.path(3, 0, false).exists(), "nothing is simulated twice");
+        fs::remove_file(all.path(3, 0, true)).unwrap();
         assert!(plain.load(0).unwrap().earlier.is_none());
-        assert!(plain.path(3, 0).exists());
+        assert!(plain.path(3, 0, false).exists());
     }
 }
