@@ -251,7 +251,7 @@ pub(crate) fn pace(options: &TrainOptions, seconds: f64) -> Result<f64, TrainErr
         .num_threads(options.threads.unwrap_or(0))
         .build()
         .map_err(|error| option("threads", "a number of threads that can be started", error))?;
-    let pace = pool.install(|| Training::new(options, &mut |_| ControlFlow::Continue(()))?.pace(seconds));
+    let pace = pool.install(|| Training::at_random(options)?.pace(seconds));
     let _ = std::fs::remove_dir_all(&options.output);
     pace
 }

@@ -143,7 +143,10 @@ fn pilot(recipe: &Recipe, stage: &Stage, how: &How) -> Result<TrainOptions, Trai
         frozen_norms: Some(false),
         ..stage.clone()
     };
+    let is_stage = |name: &&String| recipe.stages.iter().any(|stage| stage.name == **name);
+    let teacher = stage.teacher.as_ref().filter(|name| !is_stage(name));
     Ok(TrainOptions {
+        teacher: teacher.map(|file| recipe.beside(Path::new(file))),
         compare: false,
         validate_every: None,
         ..options(recipe, &asked, how, None, folder)?

@@ -181,3 +181,39 @@ fn what_a_recipe_gets_wrong_is_named_with_file_stage_and_key() {
         assert!(expected.iter().all(|part| error.contains(part)), "{was}: {error}");
     }
 }
+
+#[test]
+fn a_fusion_behind_the_encoder_of_a_stage_before_is_planned_and_made() {
+    let of_encoder = r#"
+        [[stage]]
+        name = "small"
+        model = "small.toml"
+        steps = 2
+        per_seed = 1
+        seeds = "0..2"
+
+        [[stage]]
+        name = "fusing"
+        model = "fusing.toml"
+        from = "small"
+        teacher = "small"
+        steps = 2
+        per_seed = 1
+        seeds = "0..2"
+    "#;
+    let (folder, file) = folder(of_encoder);
+    let fusing = "extends = \"small.toml\"\nname = \"fusing\"\nencoder = \"small\"\narch = { kind = \"fcooper\" }\n";
+    fs::write(folder.path().join("fusing.toml"), fusing).unwrap();
+    let (recipe, how) = (Recipe::read(&file).unwrap(), how(folder.path()));
+    assert_eq!(plan(&recipe, &how).unwrap().len(), 2);
+    let made = make(&recipe, &how, &mut |_| ControlFlow::Continue(()))
+        .unwrap()
+        .unwrap();
+    let encoder = |made: &Made| made.weights.get("small.safetensors").cloned();
+    assert!(encoder(&made[1]).is_some(), "{made:?}");
+    let loaded = |made: &Made| realo_methods::load(&made.file, realo_methods::Kernels::auto(1)).unwrap();
+    let [small, fusing] = [0, 1].map(|index| loaded(&made[index]));
+    for spec in realo_nn::layers::Layers::of(&small.model).encoder() {
+        assert_eq!(small.weights.find(&spec.key), fusing.weights.find(&spec.key), "{}", spec.key);
+    }
+}

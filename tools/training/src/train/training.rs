@@ -20,7 +20,7 @@ use crate::checkpoint::{Checkpoint, TrainingPlan, write_weights};
 use crate::curve::{Curve, Point};
 use crate::data::{Batch, Frames, LATER, REACH, Sampling, Supply, left_out_once, write_whole};
 use crate::freeze::Frozen;
-use crate::fusing::{beginning, fuses, start};
+use crate::fusing::{Start, beginning, fuses, start};
 use crate::layers::Arithmetic;
 use crate::network::Network;
 use crate::optimizer::AdamW;
@@ -145,6 +145,22 @@ impl<'a> Training<'a> {
     /// Reads or makes all that it needs; the observer hears what is left out.
     pub fn new(options: &'a TrainOptions, observer: &mut Observer) -> Result<Self, TrainError> {
         let (model, files) = Model::read_with_files(&options.model)?;
+        let start = start(&model, options.from.as_deref(), options.seed)?;
+        Self::begun(options, (model, files), start, observer)
+    }
+
+    /// As [`Training::new`], with random numbers also in an encoder that is another file's: steps that are timed and forgotten.
+    pub fn at_random(options: &'a TrainOptions) -> Result<Self, TrainError> {
+        let read = Model::read_with_files(&options.model)?;
+        Self::begun(options, read, None, &mut |_| ControlFlow::Continue(()))
+    }
+
+    fn begun(
+        options: &'a TrainOptions,
+        (model, files): (Model, Vec<ModelFile>),
+        start: Option<Start>,
+        observer: &mut Observer,
+    ) -> Result<Self, TrainError> {
         check_frames_suit(&model)?;
         let checkpoint = options.output.join(CHECKPOINT);
         if weights(&model, &options.output).contains(&checkpoint) {
@@ -154,7 +170,6 @@ impl<'a> Training<'a> {
                 reason,
             });
         }
-        let start = start(&model, options.from.as_deref(), options.seed)?;
         let source = Source::open(&options.data, fuses(&model))?;
         let validation = Scored::of(options, &source.frames)?;
         say_left_out(&source.frames, &validation, observer);
