@@ -63,15 +63,20 @@ impl ImuMonitor {
 }
 
 /// What the IMU integrates from one sample to the next by the rule of trapezoids, without the part that was taken from the
-/// earlier one alone.
+/// earlier one alone. A change between the samples may have come at any moment, evenly spread.
 ///
 /// `taken`: the time after the earlier sample that was, s. `period`: between the two, s.
 pub(crate) fn between(earlier: &ImuSample, later: &ImuSample, period: f64, taken: f64) -> Increment {
     let half = 0.5 * period;
     let sum = |a: &Vector3<f64>, b: &Vector3<f64>| (a + b) * half - a * taken;
+    let spread = |a: &Vector3<f64>, b: &Vector3<f64>| (b - a).map(|change| change * change * period * period / 12.0);
     Increment {
         turn: sum(&earlier.angular_rate, &later.angular_rate),
         push: sum(&earlier.specific_force, &later.specific_force),
+        spread: [
+            spread(&earlier.angular_rate, &later.angular_rate),
+            spread(&earlier.specific_force, &later.specific_force),
+        ],
     }
 }
 
@@ -80,5 +85,6 @@ pub(crate) fn held(sample: &ImuSample, seconds: f64) -> Increment {
     Increment {
         turn: sample.angular_rate * seconds,
         push: sample.specific_force * seconds,
+        spread: [Vector3::zeros(); 2],
     }
 }

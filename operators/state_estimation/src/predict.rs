@@ -22,6 +22,8 @@ pub(crate) struct Increment {
     pub turn: Vector3<f64>,
     /// Specific force, m/s.
     pub push: Vector3<f64>,
+    /// Variances of the turn and the push, rad² and m²/s²: of what happens between two samples, about the IMU's axes.
+    pub spread: [Vector3<f64>; 2],
 }
 
 impl Belief {
@@ -52,6 +54,12 @@ impl Belief {
         set(&mut step, ATTITUDE, ATTITUDE, &back.to_rotation_matrix().into_inner());
         set(&mut step, ATTITUDE, GYRO_BIAS, &(Matrix3::identity() * -dt));
         self.carry(&step, dt, [noise.accel_noise, noise.gyro_noise], noise);
+        let [turning, pushing] = increment.spread;
+        let pushing = rotation * Matrix3::from_diagonal(&pushing) * rotation.transpose();
+        for (state, spread) in [(ATTITUDE, Matrix3::from_diagonal(&turning)), (VELOCITY, pushing)] {
+            let mut block = self.covariance.fixed_view_mut::<3, 3>(state, state);
+            block += 0.5 * (spread + spread.transpose());
+        }
     }
 
     /// Moves on by `dt` seconds without an IMU: as fast as before, with what a vehicle may do in them as noise.
@@ -122,6 +130,7 @@ mod tests {
         let increment = Increment {
             turn: Vector3::new(0.0, 0.0, 0.2) * dt,
             push: Vector3::new(0.0, 1.6, earth.gravity) * dt,
+            spread: [Vector3::zeros(); 2],
         };
         for _ in 0..steps {
             moving.strapdown(&increment, dt, &noise, &earth);
@@ -143,6 +152,7 @@ mod tests {
         let increment = Increment {
             turn: Vector3::new(0.02, -0.01, 0.05),
             push: Vector3::new(0.03, 0.02, 0.1),
+            spread: [Vector3::zeros(); 2],
         };
         let after = |errors: &Errors| {
             let mut moved = belief();

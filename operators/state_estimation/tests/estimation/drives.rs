@@ -90,19 +90,19 @@ fn summary(name: &str, frames: &[Frame]) -> Summary {
     summary
 }
 
-fn seeds(unit: Unit, change: impl Fn(&mut Plan)) -> Vec<Frame> {
+fn seeds(unit: Unit, count: u64, change: impl Fn(&mut Plan)) -> Vec<Frame> {
     let each = |seed| {
         let mut plan = Plan::new(unit, seed);
         change(&mut plan);
         run(&LOOP, plan)
     };
-    (1..=4).flat_map(each).collect()
+    (1..=count).flat_map(each).collect()
 }
 
 #[test]
 fn with_scans_and_gnss_errors_are_small_and_honest() {
     for (unit, limit) in [(Unit::Tactical, 0.10), (Unit::Consumer, 0.12), (Unit::Rtk, 0.08)] {
-        let frames = seeds(unit, |_| ());
+        let frames = seeds(unit, 4, |_| ());
         let after: Vec<Frame> = frames.into_iter().filter(|frame| frame.at > 8.0).collect();
         let found = summary(unit.name(), &after);
         assert!(after.iter().all(|frame| frame.status == Status::Tracking));
@@ -113,7 +113,7 @@ fn with_scans_and_gnss_errors_are_small_and_honest() {
 
 #[test]
 fn twenty_seconds_without_gnss_are_carried_by_scans() {
-    let frames = seeds(Unit::Tactical, |plan| plan.outage = [25.0, 45.0]);
+    let frames = seeds(Unit::Tactical, 6, |plan| plan.outage = [25.0, 45.0]);
     let within: Vec<Frame> = frames
         .into_iter()
         .filter(|frame| (25.0..45.0).contains(&frame.at))
@@ -127,7 +127,7 @@ fn twenty_seconds_without_gnss_are_carried_by_scans() {
 #[test]
 fn twenty_seconds_without_anything_absolute_are_dead_reckoning() {
     for (unit, limit) in [(Unit::Tactical, 1.0), (Unit::Consumer, 2.0)] {
-        let frames = seeds(unit, |plan| {
+        let frames = seeds(unit, 4, |plan| {
             plan.outage = [25.0, 45.0];
             plan.blind = [25.0, 45.0];
         });
@@ -151,7 +151,7 @@ fn twenty_seconds_without_anything_absolute_are_dead_reckoning() {
 #[test]
 fn by_gnss_alone_errors_are_those_of_gnss() {
     for (unit, limit) in [(Unit::Tactical, 3.0), (Unit::Rtk, 0.1)] {
-        let frames = seeds(unit, |plan| plan.scans = false);
+        let frames = seeds(unit, 16, |plan| plan.scans = false);
         let after: Vec<Frame> = frames.into_iter().filter(|frame| frame.at > 8.0).collect();
         let found = summary(&format!("{}, no scans", unit.name()), &after);
         assert!(after.iter().all(|frame| frame.status == Status::Tracking));
@@ -198,7 +198,7 @@ fn a_vehicle_that_stands_begins_with_a_scan() {
 
 #[test]
 fn without_wheels_the_imu_and_gnss_are_enough() {
-    let frames = seeds(Unit::Tactical, |plan| plan.wheels = false);
+    let frames = seeds(Unit::Tactical, 4, |plan| plan.wheels = false);
     let after: Vec<Frame> = frames.into_iter().filter(|frame| frame.at > 10.0).collect();
     let found = summary("tactical, no wheels", &after);
     assert!(found.position[0] < 0.15 && found.inside >= 0.9);
