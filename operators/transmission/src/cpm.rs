@@ -3,7 +3,6 @@
 
 mod classes;
 mod clock;
-mod geodesy;
 mod reader;
 mod station;
 mod units;
@@ -14,9 +13,9 @@ use c_its_parser::standards::cpm_2_1_1::cpm_pdu_descriptions::CollectivePercepti
 use realo_schemas::{Header, Kind, Message, Name, Nanos, Packet};
 
 use crate::DecodeError;
-pub use geodesy::{Geodetic, NoOrigin};
 pub(crate) use reader::Parser;
 pub use reader::Unused;
+pub use realo_geodesy::{Geodetic, NoOrigin};
 pub(crate) use writer::Writer;
 
 /// The codec of a packet whose bytes are a CPM, which stands alone in [`Packet::codec`].

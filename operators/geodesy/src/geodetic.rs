@@ -1,17 +1,9 @@
-//! Places on Earth and the local frames at them, on the ellipsoid of WGS84.
-
-use std::f64::consts::PI;
 use std::fmt;
 
-use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Rotation3, UnitQuaternion, Vector3};
 use serde::{Deserialize, Serialize};
 
-/// Semi-major axis of WGS84, m.
-const AXIS: f64 = 6_378_137.0;
-/// Flattening of WGS84.
-const FLATTENING: f64 = 1.0 / 298.257_223_563;
-/// Square of the first eccentricity.
-const ECCENTRICITY_2: f64 = FLATTENING * (2.0 - FLATTENING);
+use crate::earth::{axes, centred, place_at};
 
 /// Largest latitude of a map's origin, degrees: at a pole there is no east.
 const LATITUDE: f64 = 89.0;
@@ -76,93 +68,33 @@ impl From<Geodetic> for String {
 impl Geodetic {
     /// The frame that stands at the place, x east, y north, z up, in that of another place; metres.
     pub fn other_from_here(&self, other: &Geodetic) -> Isometry3<f64> {
-        let (here, there) = (self.earth_from_local(), other.earth_from_local());
+        let (here, there) = (axes(self), axes(other));
         let rotation = Rotation3::from_matrix_unchecked(there.transpose() * here);
-        let translation = there.transpose() * (self.earth_centred() - other.earth_centred());
+        let translation = there.transpose() * (centred(self) - centred(other));
         Isometry3::from_parts(translation.into(), UnitQuaternion::from_rotation_matrix(&rotation))
     }
 
     /// The place at a point of the frame that stands here, m east, north and up.
     pub fn place_of(&self, point: &Vector3<f64>) -> Geodetic {
-        geodetic(&(self.earth_centred() + self.earth_from_local() * point))
-    }
-
-    /// Metres from the centre of the Earth, z to the north pole, x to the prime meridian.
-    fn earth_centred(&self) -> Vector3<f64> {
-        let (sin, cos) = libm::sincos(self.latitude_deg * PI / 180.0);
-        let (sin_east, cos_east) = libm::sincos(self.longitude_deg * PI / 180.0);
-        let normal = AXIS / libm::sqrt(1.0 - ECCENTRICITY_2 * sin * sin);
-        let across = (normal + self.height_m) * cos;
-        let along = (normal * (1.0 - ECCENTRICITY_2) + self.height_m) * sin;
-        Vector3::new(across * cos_east, across * sin_east, along)
-    }
-
-    fn earth_from_local(&self) -> Matrix3<f64> {
-        let (sin, cos) = libm::sincos(self.latitude_deg * PI / 180.0);
-        let (sin_east, cos_east) = libm::sincos(self.longitude_deg * PI / 180.0);
-        let east = Vector3::new(-sin_east, cos_east, 0.0);
-        let north = Vector3::new(-sin * cos_east, -sin * sin_east, cos);
-        let up = Vector3::new(cos * cos_east, cos * sin_east, sin);
-        Matrix3::from_columns(&[east, north, up])
-    }
-}
-
-/// The place of a point that is no nearer to the Earth's centre than a mine.
-fn geodetic(point: &Vector3<f64>) -> Geodetic {
-    let across = libm::hypot(point.x, point.y);
-    let mut latitude = libm::atan2(point.z, across * (1.0 - ECCENTRICITY_2));
-    // Each round takes two to three digits; near the ground six leave no error.
-    for _ in 0..6 {
-        let sin = libm::sin(latitude);
-        let normal = AXIS / libm::sqrt(1.0 - ECCENTRICITY_2 * sin * sin);
-        latitude = libm::atan2(point.z + ECCENTRICITY_2 * normal * sin, across);
-    }
-    let (sin, cos) = libm::sincos(latitude);
-    let normal = AXIS / libm::sqrt(1.0 - ECCENTRICITY_2 * sin * sin);
-    // The way along the normal, which is sound at the equator and at the poles.
-    let height_m = across * cos + point.z * sin - AXIS * AXIS / normal;
-    Geodetic {
-        latitude_deg: latitude * 180.0 / PI,
-        longitude_deg: libm::atan2(point.y, point.x) * 180.0 / PI,
-        height_m,
+        place_at(&(centred(self) + axes(self) * point))
     }
 }
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::PI;
+
     use nalgebra::Point3;
     use proptest::prelude::*;
 
     use super::*;
+    use crate::earth::{AXIS, ECCENTRICITY_2};
 
     fn place(latitude_deg: f64, longitude_deg: f64, height_m: f64) -> Geodetic {
         Geodetic {
             latitude_deg,
             longitude_deg,
             height_m,
-        }
-    }
-
-    #[test]
-    fn known_points_of_the_earth_lie_where_they_should() {
-        // The axes of the ellipsoid, and the worked example of EPSG guidance note 7-2, section 4.1.1 (North Sea).
-        let cases = [
-            (place(0.0, 0.0, 0.0), [AXIS, 0.0, 0.0], 1e-9),
-            (place(0.0, 90.0, 10.0), [0.0, AXIS + 10.0, 0.0], 1e-9),
-            (place(90.0, 0.0, 0.0), [0.0, 0.0, 6_356_752.314_245], 1e-6),
-            (
-                place(
-                    53.0 + 48.0 / 60.0 + 33.82 / 3600.0,
-                    2.0 + 7.0 / 60.0 + 46.38 / 3600.0,
-                    73.0,
-                ),
-                [3_771_793.968, 140_253.342, 5_124_304.349],
-                1e-3,
-            ),
-        ];
-        for (place, expected, bound) in cases {
-            let found = place.earth_centred();
-            assert!((found - Vector3::from(expected)).norm() < bound, "{place}: {found}");
         }
     }
 

@@ -1,0 +1,240 @@
+//! The filter: what it believes after samples in the order of their stamps. Its state is a function of that order alone.
+
+use nalgebra::Vector3;
+use realo_schemas::Nanos;
+
+use crate::belief::Belief;
+use crate::correct::Outcome;
+use crate::fault::{Fault, Faults};
+use crate::imu::{ImuMonitor, between, held};
+use crate::models::{self, LocalFix, LocalScan};
+use crate::rules::{Checked, Rules};
+use crate::source::{Source, conflict};
+use crate::start::Start;
+use crate::{ImuSample, Verdict};
+
+/// An IMU sample holds so long, ns; after that the motion is not known.
+const HOLD: Nanos = 50_000_000;
+/// Longest step without an IMU, ns.
+const COAST_STEP: Nanos = 50_000_000;
+/// A longer time without any sample ends an estimate, ns.
+const GAP: Nanos = 10_000_000_000;
+/// Wheels that stand for so long stand, ns.
+const REST: Nanos = 300_000_000;
+
+/// The filter after some samples.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct Filter {
+    pub time: Option<Nanos>,
+    pub belief: Option<Belief>,
+    pub start: Start,
+    pub faults: Faults,
+    pub scans: Source,
+    pub fixes: Source,
+    monitor: ImuMonitor,
+    /// The last usable sample, and its time since the one before, s.
+    imu: Option<(ImuSample, f64)>,
+    last_fix: Option<Vector3<f64>>,
+    /// Since when the wheels stand.
+    resting: Option<Nanos>,
+    /// The IMU sample whose rest was used last.
+    rested: Option<Nanos>,
+}
+
+impl Filter {
+    /// The filter before any sample.
+    pub fn new() -> Self {
+        Filter {
+            time: None,
+            belief: None,
+            start: Start::default(),
+            faults: Faults::default(),
+            scans: Source::default(),
+            fixes: Source::default(),
+            monitor: ImuMonitor::default(),
+            imu: None,
+            last_fix: None,
+            resting: None,
+            rested: None,
+        }
+    }
+
+    /// Takes the next sample.
+    pub fn take(&mut self, stamp: Nanos, sample: &Checked, rules: &Rules) -> Verdict {
+        if self.time.is_some_and(|time| stamp - time > GAP) {
+            self.restart(Fault::StampGap, stamp);
+        }
+        let taken = match sample {
+            Checked::Imu(imu) => self.take_imu(imu, rules),
+            Checked::Wheel(speed) => self.take_wheel(stamp, *speed, rules),
+            Checked::Gnss(fix) => self.take_fix(stamp, fix, rules),
+            Checked::Scan(scan) => self.take_scan(stamp, scan, rules),
+        };
+        if let Err(fault) = taken {
+            self.faults.note(fault, stamp);
+        }
+        if self.belief.as_ref().is_some_and(|belief| !belief.is_sound()) {
+            self.restart(Fault::Numerical, stamp);
+        } else if let Some(fault) = conflict(&self.fixes, &self.scans, stamp, rules) {
+            self.restart(fault, stamp);
+        }
+        match taken {
+            Err(fault) => Verdict::Refused(fault),
+            Ok(()) if self.belief.is_some() => Verdict::Used,
+            Ok(()) => Verdict::Waiting,
+        }
+    }
+
+    /// Moves on to a stamp; `next`: the IMU sample of that stamp, where there is one.
+    pub fn advance(&mut self, to: Nanos, next: Option<&ImuSample>, rules: &Rules) {
+        let Some(mut time) = self.time.replace(to) else {
+            return;
+        };
+        let Some(belief) = &mut self.belief else {
+            return;
+        };
+        if let Some((last, _)) = &self.imu {
+            let edge = last.stamp.saturating_add(HOLD);
+            let until = to.min(edge);
+            if until > time {
+                let increment = match next.filter(|next| next.stamp <= edge) {
+                    Some(next) => between(last, next, seconds(next.stamp - last.stamp), seconds(time - last.stamp)),
+                    None => held(last, seconds(until - time)),
+                };
+                belief.strapdown(&increment, seconds(until - time), &rules.noise, &rules.earth);
+                time = until;
+            }
+        }
+        while time < to {
+            let step = (to - time).min(COAST_STEP);
+            belief.coast(seconds(step), &rules.noise);
+            time += step;
+        }
+    }
+
+    /// The rate of the gyro, while its last sample holds, rad/s.
+    pub fn rate(&self, stamp: Nanos) -> Option<Vector3<f64>> {
+        let (sample, _) = self.imu.as_ref()?;
+        (stamp - sample.stamp <= HOLD).then_some(sample.angular_rate)
+    }
+
+    fn take_imu(&mut self, sample: &ImuSample, rules: &Rules) -> Result<(), Fault> {
+        self.monitor.look(sample, rules)?;
+        let period = self.imu.as_ref().map(|(last, _)| sample.stamp - last.stamp);
+        self.advance(sample.stamp, Some(sample), rules);
+        let gap = period.is_some_and(|period| period > HOLD);
+        let period = period.map_or(0.01, |period| seconds(period.min(HOLD)));
+        if self.belief.is_none() {
+            self.start.imu(sample, period, rules);
+        }
+        self.imu = Some((*sample, period));
+        if gap {
+            self.faults.note(Fault::ImuGap, sample.stamp);
+        }
+        Ok(())
+    }
+
+    fn take_wheel(&mut self, stamp: Nanos, speed: f64, rules: &Rules) -> Result<(), Fault> {
+        self.advance(stamp, None, rules);
+        let rate = self.rate(stamp);
+        let Some(belief) = &mut self.belief else {
+            self.start.wheel(stamp, speed);
+            return Ok(());
+        };
+        if speed == 0.0 {
+            let since = *self.resting.get_or_insert(stamp);
+            used(belief.correct(&models::standstill(belief)), Fault::WheelGate)?;
+            return if stamp - since >= REST {
+                self.rest(stamp, rules)
+            } else {
+                Ok(())
+            };
+        }
+        self.resting = None;
+        let innovation = models::wheel_speed(belief, rules, speed, rate.as_ref());
+        used(belief.correct(&innovation), Fault::WheelGate)?;
+        let innovation = models::no_skid(belief, rules, rate.as_ref());
+        used(belief.correct(&innovation), Fault::WheelSkid)
+    }
+
+    /// Takes the last IMU sample as the gyro's bias, once.
+    fn rest(&mut self, stamp: Nanos, rules: &Rules) -> Result<(), Fault> {
+        let rate = self.rate(stamp);
+        let (Some(belief), Some(rate), Some((sample, period))) = (&mut self.belief, rate, &self.imu) else {
+            return Ok(());
+        };
+        if self.rested.replace(sample.stamp) == Some(sample.stamp) {
+            return Ok(());
+        }
+        let innovation = models::resting_gyro(belief, rules, &rate, period.max(1e-3));
+        used(belief.correct(&innovation), Fault::GyroAtRest)
+    }
+
+    fn take_fix(&mut self, stamp: Nanos, fix: &LocalFix, rules: &Rules) -> Result<(), Fault> {
+        self.advance(stamp, None, rules);
+        if self.last_fix.replace(fix.position) == Some(fix.position) {
+            return Err(Fault::GnssFrozen);
+        }
+        if !fix.has_height {
+            self.faults.note(Fault::GnssHeightZero, stamp);
+        }
+        let Some(belief) = &mut self.belief else {
+            let begun = self.start.take_fix(stamp, fix, rules)?;
+            self.begin(begun, stamp, |filter| &mut filter.fixes);
+            return Ok(());
+        };
+        let innovation = fix.horizontal(belief, rules);
+        let residual = Vector3::new(innovation.residual.x, innovation.residual.y, 0.0);
+        let outcome = belief.correct(&innovation);
+        self.fixes.note(outcome, stamp, residual);
+        used(outcome, Fault::GnssGate)?;
+        if fix.has_height {
+            used(belief.correct(&fix.vertical(belief, rules)), Fault::GnssHeightGate)?;
+        }
+        Ok(())
+    }
+
+    fn take_scan(&mut self, stamp: Nanos, scan: &LocalScan, rules: &Rules) -> Result<(), Fault> {
+        self.advance(stamp, None, rules);
+        let Some(belief) = &mut self.belief else {
+            let begun = self.start.take_scan(stamp, scan, rules)?;
+            self.begin(begun, stamp, |filter| &mut filter.scans);
+            return Ok(());
+        };
+        let innovation = models::scan_pose(belief, rules, scan);
+        let residual = innovation.residual.fixed_rows::<3>(0).into_owned();
+        let outcome = belief.correct(&innovation);
+        self.scans.note(outcome, stamp, residual);
+        used(outcome, Fault::ScanGate)
+    }
+
+    fn begin(&mut self, belief: Option<Belief>, stamp: Nanos, source: impl Fn(&mut Filter) -> &mut Source) {
+        if let Some(belief) = belief {
+            self.belief = Some(belief);
+            self.start = Start::default();
+            source(self).note(Outcome::Used, stamp, Vector3::zeros());
+        }
+    }
+
+    /// Gives the estimate up, and begins anew.
+    fn restart(&mut self, fault: Fault, stamp: Nanos) {
+        self.faults.note(fault, stamp);
+        self.start = Start::after(self.belief.is_some() || self.start.after_loss);
+        self.belief = None;
+        self.scans = Source::default();
+        self.fixes = Source::default();
+        self.resting = None;
+    }
+}
+
+fn used(outcome: Outcome, gated: Fault) -> Result<(), Fault> {
+    match outcome {
+        Outcome::Used => Ok(()),
+        Outcome::Gated => Err(gated),
+        Outcome::Numerical => Err(Fault::Numerical),
+    }
+}
+
+fn seconds(nanos: Nanos) -> f64 {
+    nanos as f64 * 1e-9
+}

@@ -1,0 +1,214 @@
+//! How a belief moves on in time: strapdown integration of the IMU, or nothing but inertia.
+
+use nalgebra::{Matrix3, Vector3};
+
+use crate::belief::turned;
+use crate::belief::{ACCEL_BIAS, ATTITUDE, Belief, Covariance, GYRO_BIAS, POSITION, SCALE, VELOCITY, WANDER};
+use crate::{Earth, UnitNoise};
+
+/// Accelerations of a vehicle whose IMU is silent, as white noise, m/s²/√Hz.
+const COAST_ACCELERATION: f64 = 3.0;
+/// Angular rates of such a vehicle, rad/s/√Hz.
+const COAST_RATE: f64 = 0.3;
+/// Time over which a bias moves by its in-run part, s.
+const BIAS_S: f64 = 100.0;
+/// How the wheels' scale walks, 1/√s.
+const SCALE_WALK: f64 = 2e-5;
+
+/// What the IMU integrated over a time.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub(crate) struct Increment {
+    /// Angular rate, rad.
+    pub turn: Vector3<f64>,
+    /// Specific force, m/s.
+    pub push: Vector3<f64>,
+    /// Variances of the turn and the push, rad² and m²/s²: of what happens between two samples, about the IMU's axes.
+    pub spread: [Vector3<f64>; 2],
+}
+
+impl Belief {
+    /// Moves on by `dt` seconds with what the IMU integrated over them.
+    pub fn strapdown(&mut self, increment: &Increment, dt: f64, noise: &UnitNoise, earth: &Earth) {
+        let imu_from_map = self.map_from_imu.inverse();
+        let turn = increment.turn - self.gyro_bias * dt - imu_from_map * (earth.rate * dt);
+        let push = increment.push - self.accel_bias * dt;
+        // In the attitude of the middle of the time.
+        let middle = turned(&self.map_from_imu, &(0.5 * turn));
+        let rotation = middle.to_rotation_matrix().into_inner();
+        let gravity = Vector3::new(0.0, 0.0, -earth.gravity) - 2.0 * earth.rate.cross(&self.velocity);
+        let gain = rotation * push + gravity * dt;
+        self.position += self.velocity * dt + gain * (0.5 * dt);
+        self.velocity += gain;
+        self.map_from_imu = turned(&self.map_from_imu, &turn);
+
+        let mut step = self.still(dt);
+        // What a wrong attitude at the start does to the velocity.
+        let start = imu_from_map.inverse().to_rotation_matrix().into_inner();
+        let lean = -(start * (imu_from_map * (rotation * push)).cross_matrix());
+        set(&mut step, VELOCITY, ATTITUDE, &lean);
+        set(&mut step, POSITION, ATTITUDE, &(lean * (0.5 * dt)));
+        set(&mut step, VELOCITY, GYRO_BIAS, &(lean * (-0.5 * dt)));
+        set(&mut step, VELOCITY, ACCEL_BIAS, &(rotation * -dt));
+        set(&mut step, POSITION, ACCEL_BIAS, &(rotation * (-0.5 * dt * dt)));
+        let back = turned(&nalgebra::UnitQuaternion::identity(), &-turn);
+        set(&mut step, ATTITUDE, ATTITUDE, &back.to_rotation_matrix().into_inner());
+        set(&mut step, ATTITUDE, GYRO_BIAS, &(Matrix3::identity() * -dt));
+        self.carry(&step, dt, [noise.accel_noise, noise.gyro_noise], noise);
+        let [turning, pushing] = increment.spread;
+        let pushing = rotation * Matrix3::from_diagonal(&pushing) * rotation.transpose();
+        for (state, spread) in [(ATTITUDE, Matrix3::from_diagonal(&turning)), (VELOCITY, pushing)] {
+            let mut block = self.covariance.fixed_view_mut::<3, 3>(state, state);
+            block += 0.5 * (spread + spread.transpose());
+        }
+    }
+
+    /// Moves on by `dt` seconds without an IMU: as fast as before, with what a vehicle may do in them as noise.
+    pub fn coast(&mut self, dt: f64, noise: &UnitNoise) {
+        self.position += self.velocity * dt;
+        let step = self.still(dt);
+        self.carry(&step, dt, [COAST_ACCELERATION, COAST_RATE], noise);
+    }
+
+    /// How errors grow by the velocity alone.
+    fn still(&self, dt: f64) -> Covariance {
+        let mut step = Covariance::identity();
+        set(&mut step, POSITION, VELOCITY, &(Matrix3::identity() * dt));
+        step
+    }
+
+    /// Carries the covariance by a step's Jacobian, and what wanders, walks and is noise.
+    fn carry(&mut self, step: &Covariance, dt: f64, [force, rate]: [f64; 2], noise: &UnitNoise) {
+        let mut step = *step;
+        let decay = libm::exp(-dt / noise.gnss_wander_s);
+        set(&mut step, WANDER, WANDER, &(Matrix3::identity() * decay));
+        self.wander *= decay;
+        self.covariance = step * self.covariance * step.transpose();
+        let bias = |in_run: f64| in_run * in_run * 2.0 / BIAS_S * dt;
+        for axis in 0..3 {
+            let mut add = |row: usize, variance: f64| self.covariance[(row + axis, row + axis)] += variance;
+            add(VELOCITY, force * force * dt);
+            add(POSITION, force * force * dt * dt * dt / 3.0);
+            add(ATTITUDE, rate * rate * dt);
+            add(GYRO_BIAS, bias(noise.gyro_bias_in_run));
+            add(ACCEL_BIAS, bias(noise.accel_bias_in_run));
+            add(WANDER, 1.0 - decay * decay);
+            let cross = 0.5 * force * force * dt * dt;
+            self.covariance[(POSITION + axis, VELOCITY + axis)] += cross;
+            self.covariance[(VELOCITY + axis, POSITION + axis)] += cross;
+        }
+        self.covariance[(SCALE, SCALE)] += SCALE_WALK * SCALE_WALK * dt;
+        self.symmetrize();
+    }
+}
+
+fn set(step: &mut Covariance, row: usize, column: usize, block: &Matrix3<f64>) {
+    step.fixed_view_mut::<3, 3>(row, column).copy_from(block);
+}
+
+#[cfg(test)]
+mod tests {
+    use nalgebra::Isometry3;
+
+    use super::*;
+    use crate::Unit;
+    use crate::belief::{Errors, quaternion_of, vector_of};
+
+    fn belief() -> Belief {
+        let mut belief = Belief::at(&Isometry3::translation(5.0, -3.0, 1.0), Vector3::new(8.0, 0.0, 0.0));
+        belief.covariance.fill_with_identity();
+        belief.covariance *= 1e-4;
+        belief
+    }
+
+    /// Round a circle of 40 m at 8 m/s: after 2π·40/8 s the vehicle is where it was.
+    #[test]
+    fn a_circle_closes() {
+        let (noise, earth) = (Unit::Tactical.noise(), Earth::SIMULATED);
+        let mut moving = belief();
+        let steps = 3_142;
+        let dt = std::f64::consts::TAU * 40.0 / 8.0 / f64::from(steps);
+        let increment = Increment {
+            turn: Vector3::new(0.0, 0.0, 0.2) * dt,
+            push: Vector3::new(0.0, 1.6, earth.gravity) * dt,
+            spread: [Vector3::zeros(); 2],
+        };
+        for _ in 0..steps {
+            moving.strapdown(&increment, dt, &noise, &earth);
+        }
+        assert!(
+            (moving.position - belief().position).norm() < 1e-3,
+            "{}",
+            moving.position
+        );
+        assert!((moving.velocity - belief().velocity).norm() < 1e-6);
+        assert!(moving.is_sound() && moving.covariance.cholesky().is_some());
+    }
+
+    /// The Jacobian by differences: a state that is a little off before the step is off by the Jacobian's product after it.
+    #[test]
+    fn errors_grow_as_the_jacobian_says() {
+        let (noise, earth) = (Unit::Tactical.noise(), Earth::SIMULATED);
+        let dt = 0.01;
+        let increment = Increment {
+            turn: Vector3::new(0.02, -0.01, 0.05),
+            push: Vector3::new(0.03, 0.02, 0.1),
+            spread: [Vector3::zeros(); 2],
+        };
+        let after = |errors: &Errors| {
+            let mut moved = belief();
+            moved.inject(errors);
+            moved.strapdown(&increment, dt, &noise, &earth);
+            moved
+        };
+        let plain = after(&Errors::zeros());
+        for state in 0..WANDER {
+            let size = 1e-5;
+            let mut errors = Errors::zeros();
+            errors[state] = size;
+            let off = after(&errors);
+            let mut column = Errors::zeros();
+            let turn = vector_of(&(plain.map_from_imu.inverse() * off.map_from_imu));
+            let parts = [
+                (POSITION, off.position - plain.position),
+                (VELOCITY, off.velocity - plain.velocity),
+                (ATTITUDE, turn),
+                (GYRO_BIAS, off.gyro_bias - plain.gyro_bias),
+                (ACCEL_BIAS, off.accel_bias - plain.accel_bias),
+            ];
+            for (row, part) in parts {
+                column.fixed_rows_mut::<3>(row).copy_from(&(part / size));
+            }
+            // A covariance of one state alone shows its column of the Jacobian.
+            let mut only = belief();
+            only.covariance.fill(0.0);
+            only.covariance[(state, state)] = 1.0;
+            only.strapdown(&increment, dt, &noiseless(&noise), &earth);
+            for row in 0..WANDER {
+                let found = only.covariance[(row, row)].sqrt();
+                assert!(
+                    (found - column[row].abs()).abs() < 3e-4,
+                    "state {state}, row {row}: {found}, by differences {}",
+                    column[row]
+                );
+            }
+        }
+    }
+
+    fn noiseless(noise: &UnitNoise) -> UnitNoise {
+        UnitNoise {
+            gyro_noise: 0.0,
+            accel_noise: 0.0,
+            gyro_bias_in_run: 0.0,
+            accel_bias_in_run: 0.0,
+            ..*noise
+        }
+    }
+
+    #[test]
+    fn quaternions_of_small_turns_are_whole() {
+        for size in [0.0, 1e-12, 1e-5, 1e-4, 2e-4, 1.0] {
+            let q = quaternion_of(&Vector3::new(size, 0.0, 0.0));
+            assert!((q.norm() - 1.0).abs() < 1e-15, "{size}: {q}");
+        }
+    }
+}

@@ -1,0 +1,7 @@
+//! The estimators on made drives: errors, consistency, replay, bad input, roadside units.
+
+mod bad_input;
+mod drives;
+mod hold;
+mod replay;
+mod world;

@@ -1,0 +1,76 @@
+use realo_schemas::Nanos;
+
+use crate::{ArrivalOffset, Epoch, Handling, Offset, StampFaults, StampWatch, Watched};
+
+/// The clock of one sensor: its stamps are watched, and its offset estimated.
+#[derive(Clone, Debug)]
+pub struct SensorClock {
+    watch: StampWatch,
+    arrival: ArrivalOffset,
+    motion: Option<Offset>,
+}
+
+/// What is known of a clock.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Judged {
+    /// What it counts.
+    pub epoch: Epoch,
+    /// The offset of the stamps that go on, with the smaller bound of both ways; `None` while neither shows it.
+    pub offset: Option<Offset>,
+    /// Whether arrivals and motion contradict each other: one of the two assumptions, the least delay or the common motion, is
+    /// wrong.
+    pub is_contradicted: bool,
+}
+
+impl SensorClock {
+    /// A clock of which nothing is known. `least_delay`: range of the least time from stamp to arrival, ns; `window`: over which
+    /// arrivals are looked at, ns.
+    pub fn new(handling: Handling, least_delay: [Nanos; 2], window: Nanos) -> Self {
+        SensorClock {
+            watch: StampWatch::new(handling),
+            arrival: ArrivalOffset::new(least_delay, window),
+            motion: None,
+        }
+    }
+
+    /// Takes a message: what its stamp is taken for.
+    pub fn take(&mut self, stamp: Nanos, arrival: Nanos) -> Watched {
+        let watched = self.watch.take(stamp, arrival);
+        if watched.is_new_clock {
+            self.arrival.restart();
+            self.motion = None;
+        }
+        if let Some(stamp) = watched.stamp {
+            self.arrival.take(stamp, arrival);
+        }
+        watched
+    }
+
+    /// Takes what motion says of the offset of the stamps that go on, against the reference clock.
+    pub fn set_motion(&mut self, offset: Offset) {
+        self.motion = Some(offset);
+    }
+
+    /// What is known of the clock; `None` before its first message.
+    pub fn judged(&self) -> Option<Judged> {
+        let epoch = self.watch.epoch()?;
+        let arrival = self.arrival.offset();
+        let (offset, is_contradicted) = match (arrival, self.motion) {
+            (Some(arrival), Some(motion)) => {
+                let better = if motion.bound < arrival.bound { motion } else { arrival };
+                (Some(better), !motion.agrees(&arrival))
+            }
+            (arrival, motion) => (arrival.or(motion), false),
+        };
+        Some(Judged {
+            epoch,
+            offset,
+            is_contradicted,
+        })
+    }
+
+    /// What was wrong with stamps so far.
+    pub fn faults(&self) -> StampFaults {
+        self.watch.faults()
+    }
+}
