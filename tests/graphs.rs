@@ -104,6 +104,74 @@ fn types_ports_and_graphs_say_the_same() {
     assert!(differences.is_empty(), "{differences:#?}");
 }
 
+/// A log whose agents have boxes, but no points.
+fn boxes_in_motion() -> PathBuf {
+    let args = ["--seed", "901", "--seconds", "4", "--no-clouds", "--key-hz", "10"];
+    simulated("boxes_in_motion", &args)
+}
+
+#[test]
+fn boxes_that_are_followed_are_moved_to_the_time_of_the_ego_and_have_identities() {
+    let log = boxes_in_motion();
+    let run = |out: &str, graph: &str, more: &[&str]| {
+        let args = ["--recorded-detections", "--ego", "cav1", "--link", "delay_ms=500"];
+        let window = ["--set", "fusion.bank.window_ms=1000"];
+        run_virtual(out, graph, &log, &[&args[..], &window, more].concat())
+    };
+    let still = run("motion_still", "late_fusion", &[]);
+    let moved = run("motion_moved", "late_fusion_tracked", &[]);
+    let left = run(
+        "motion_left",
+        "late_fusion_tracked",
+        &["--set", "fusion.fusion.move_boxes=false"],
+    );
+    let ap = |result: &Value| {
+        result["accuracy"]["sorted"]["AP"]["vehicle"]["0.5"]
+            .as_f64()
+            .expect("an AP")
+    };
+    let [still_ap, moved_ap, left_ap] = [&still, &moved, &left].map(ap);
+    assert!(moved_ap > still_ap + 0.05, "{moved_ap} and {still_ap}");
+    assert_eq!(left_ap, still_ap, "who follows boxes moves none");
+    let counters = |result: &Value, stage: &str, name: &str| result["nodes"][stage]["counters"][name].as_u64();
+    assert!(counters(&moved, "fusion.fusion", "moved_boxes") > counters(&moved, "fusion.fusion", "unmoved_boxes"));
+    assert_eq!(counters(&left, "fusion.fusion", "moved_boxes"), None);
+    assert!(
+        counters(&moved, "others.tracker", "tracked_boxes") > Some(500),
+        "{moved}"
+    );
+    let of = |result: &Value, name: &str| result["tracking"]["vehicle"][name].as_f64();
+    assert!(still["tracking"].is_null(), "its boxes have no identities");
+    assert!(
+        of(&moved, "HOTA") > Some(0.5) && of(&moved, "HOTA") > of(&left, "HOTA"),
+        "{moved}"
+    );
+    assert!(
+        of(&moved, "velocity_error_moving").is_some_and(|error| error < 1.5),
+        "{moved}"
+    );
+    let again = run("motion_again", "late_fusion_tracked", &[]);
+    assert_eq!(again, moved);
+}
+
+#[test]
+fn late_fusion_of_boxes_in_motion_runs_on_dora() {
+    let log = boxes_in_motion();
+    let out = folder("motion_on_dora");
+    let (log, to) = (log.to_string_lossy(), out.to_string_lossy());
+    let args = [
+        "run",
+        &graph("late_fusion_tracked"),
+        "--recorded-detections",
+        "--ego",
+        "cav1",
+    ];
+    realo_ok(args.into_iter().chain(["--log", &*log, "--out", &*to]));
+    let result = json(&out.join("result.json"));
+    assert_eq!(result["complete"], true);
+    assert!(result["tracking"]["vehicle"]["HOTA"].as_f64() > Some(0.3), "{result}");
+}
+
 #[test]
 fn inputs_that_hang_on_one_wire_do_so_with_others() {
     let mut stages: BTreeMap<&str, Vec<&str>> = BTreeMap::new();

@@ -45,8 +45,13 @@ fn graphs(folder: &Path) -> Result<Vec<PathBuf>, GraphError> {
 /// Names of the detections that a folder has modules of.
 fn detections(dataflows: &Path) -> Result<Vec<String>, GraphError> {
     let names = graphs(&dataflows.join("modules"))?;
-    let name = |file: &PathBuf| Some(file.file_stem()?.to_str()?.strip_prefix("detect.")?.to_string());
-    Ok(names.iter().filter_map(name).collect())
+    // What follows a second dot is what a lane does with its boxes.
+    let name = |file: &PathBuf| {
+        let words = file.file_name()?.to_str()?.strip_prefix("detect.")?;
+        Some(words.split_once('.')?.0.to_string())
+    };
+    let names: BTreeSet<String> = names.iter().filter_map(name).collect();
+    Ok(names.into_iter().collect())
 }
 
 fn audit_graph(registry: &Registry, file: &Path, detections: &[String]) -> Vec<String> {

@@ -440,6 +440,12 @@ fn recorded_detections_take_the_place_of_detect_modules() {
             "nodes: [{ id: a, module: modules/detect.network.yml }, { id: b, module: modules/outer.yml }]",
         ),
         ("none.yml", "nodes: [{ id: a, path: p }]"),
+        (
+            "followed.yml",
+            "nodes: [{ id: a, module: modules/detect.network.tracked.yml }]",
+        ),
+        ("modules/detect.network.tracked.yml", &detect("network-tracked")),
+        ("modules/detect.recorded.tracked.yml", &detect("recorded-tracked")),
         ("modules/outer.yml", outer),
         ("modules/detect.network.yml", &detect("network")),
         ("modules/detect.recorded.yml", &detect("recorded")),
@@ -451,8 +457,20 @@ fn recorded_detections_take_the_place_of_detect_modules() {
             .with_detection("recorded")
             .expand()
     };
-    let ids: Vec<String> = load("g.yml").unwrap().nodes.into_iter().map(|node| node.id).collect();
-    assert_eq!(ids, ["a.recorded", "b.d.recorded"]);
+    let ids = |file| {
+        load(file)
+            .unwrap()
+            .nodes
+            .into_iter()
+            .map(|node| node.id)
+            .collect::<Vec<String>>()
+    };
+    assert_eq!(ids("g.yml"), ["a.recorded", "b.d.recorded"]);
+    assert_eq!(
+        ids("followed.yml"),
+        ["a.recorded-tracked"],
+        "what follows the boxes stays"
+    );
     let error = load("none.yml").unwrap_err().to_string();
     assert!(error.contains("no module `detect.*.yml`"), "{error}");
 }

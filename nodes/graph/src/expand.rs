@@ -174,15 +174,15 @@ impl Expansion<'_> {
         Ok((flat, producers))
     }
 
-    /// The module that stands for `module`: another one where a detection is asked for.
+    /// The module that stands for `module`: another one where a detection is asked for. `detect.network.tracked.yml` becomes
+    /// `detect.recorded.tracked.yml`: what a lane does with its boxes stays.
     fn detection(&self, module: &str) -> String {
         let Some(name) = self.detection.filter(|_| is_detection(module)) else {
             return module.to_string();
         };
-        match module.rsplit_once('/') {
-            Some((folder, _)) => format!("{folder}/detect.{name}.yml"),
-            None => format!("detect.{name}.yml"),
-        }
+        let (folder, file) = module.split_at(module.rfind('/').map_or(0, |at| at + 1));
+        let words = file.strip_prefix("detect.").and_then(|words| words.split_once('.'));
+        format!("{folder}detect.{name}.{}", words.map_or("yml", |(_, rest)| rest))
     }
 
     fn module(

@@ -80,8 +80,9 @@ impl Graph {
         })
     }
 
-    /// Uses `detect.<name>.yml` in place of every module `detect.*.yml`; [`Graph::expand`] refuses a graph without such
-    /// a module. With `recorded` the agents report the detections of the log.
+    /// Uses `detect.<name>.yml` in place of every module `detect.*.yml`, and `detect.<name>.tracked.yml` in place of every
+    /// `detect.*.tracked.yml`; [`Graph::expand`] refuses a graph without such a module. With `recorded` the agents report the
+    /// detections of the log.
     pub fn with_detection(mut self, name: &str) -> Self {
         self.detection = Some(name.to_string());
         self

@@ -4,7 +4,9 @@ use std::collections::BTreeMap;
 
 use realo_operator::{Counts, Loss, Meaning};
 use realo_schemas::report::Peer;
-use realo_scoring::{Accuracy, Dropped, Ignored, Intervals, Orders, PointsBin, RangeBin, Scores, Table, score};
+use realo_scoring::{
+    Accuracy, Dropped, Ignored, Intervals, Orders, PointsBin, RangeBin, Scores, Table, TrackScores, score,
+};
 use serde::{Deserialize, Serialize};
 
 use crate::cooperation::Cooperation;
@@ -62,6 +64,9 @@ pub struct RunResult {
     /// Recall by the ego's own points on an object.
     #[serde(default)]
     pub recall_by_points: Option<Table<Vec<PointsBin>>>,
+    /// Identities and velocities by super-class; `None` where detections or objects have no identities.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tracking: Option<BTreeMap<String, TrackScores>>,
     /// 95 % intervals by resampling logs; `None` with fewer than two.
     pub intervals: Option<Intervals>,
     /// Detections that did not count, and why.
@@ -263,6 +268,7 @@ impl RunResult {
             accuracy_processed: None,
             precision_recall_by_range: None,
             recall_by_points: None,
+            tracking: None,
             intervals: None,
             dropped_detections: None,
             dropped_truths: None,
@@ -348,6 +354,7 @@ impl RunResult {
         self.accuracy_processed = Some(scores.accuracy_processed);
         self.precision_recall_by_range = Some(scores.by_range);
         self.recall_by_points = Some(scores.by_points);
+        self.tracking = scores.tracking;
         self.intervals = scores.intervals;
         self.dropped_detections = Some(scores.dropped_detections);
         self.dropped_truths = Some(scores.dropped_truths);

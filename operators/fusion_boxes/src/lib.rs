@@ -1,13 +1,14 @@
 //! Late fusion: brings the boxes of selected collaborators to the ego's body frame and lists them after the ego's own.
 //! Duplicates stay; the next stage is `nms`, whose order at equal scores is the order here.
 //!
-//! The transform is `ego_from_sender` of the two stamps, from the poses in the headers. The motion of objects between the
-//! stamps is not removed.
+//! The transform is `ego_from_sender` of the two stamps, from the poses in the headers. It removes the motion of agents between
+//! the stamps. With `move_boxes` that of objects is removed too: a box that says its velocity is moved by velocity × (stamp of
+//! the ego's message − stamp of the box's message), which the truth of the ego's sweep asks for.
 
-use realo_fusion::{Input, Pairing, Set};
+use realo_fusion::{Collaborator, Input, Pairing, Set};
 use realo_operator::{Counter, Describe, Error, Operator, Outputs, Settings};
-use realo_schemas::geometry::transform_box;
-use realo_schemas::{Box3, Boxes, Header};
+use realo_schemas::geometry::{detection_fault, transform_box};
+use realo_schemas::{Box3, Boxes, Header, Nanos, to_seconds};
 use serde::{Deserialize, Serialize};
 
 /// Settings of [`FusionBoxes`].
@@ -21,27 +22,66 @@ pub struct Settings {
     /// Boxes of a lower score are dropped, the ego's own included.
     #[setting(range = ..=1.0)]
     pub min_score: f32,
+    /// Whether collaborators' boxes are moved by their velocities to the stamp of the ego's; such come from `tracker`.
+    pub move_boxes: bool,
+    /// Boxes are moved over no longer a time than this, ms; of messages that are older they stay where they were.
+    #[setting(default = 1000, range = 0..=60_000)]
+    pub max_move_ms: u32,
 }
 
-/// The ego's boxes, then the collaborators', in the ego's frame.
-pub fn fuse(set: &Set<Boxes>, ego_boxes: bool) -> Vec<Box3> {
-    let own = if ego_boxes { &set.ego.0[..] } else { &[] };
-    let theirs = set.collaborators.iter().flat_map(|collaborator| {
-        let boxes = collaborator.payload.0.iter();
-        boxes.map(|object| transform_box(&collaborator.ego_from_sender, object))
-    });
-    own.iter().cloned().chain(theirs).collect()
+/// The ego's boxes, then the collaborators', in the ego's frame. `max_move`: over how long a time the collaborators' are moved
+/// by their velocities, ns; `None`: they are not. And how many of the collaborators' were moved.
+pub fn fuse(set: &Set<Boxes>, ego_boxes: bool, max_move: Option<Nanos>) -> (Vec<Box3>, u64) {
+    let mut fused = if ego_boxes { set.ego.0.clone() } else { Vec::new() };
+    let mut moved = 0;
+    for collaborator in &set.collaborators {
+        let age = set.header.stamp.saturating_sub(collaborator.header.stamp);
+        let is_moved = max_move.is_some_and(|max| age.saturating_abs() <= max);
+        moved += place(collaborator, is_moved.then(|| to_seconds(age)), &mut fused);
+    }
+    (fused, moved)
+}
+
+/// Lists a collaborator's boxes in the ego's frame, moved by their velocities over a time, s; how many were moved.
+fn place(collaborator: &Collaborator<Boxes>, seconds: Option<f64>, fused: &mut Vec<Box3>) -> u64 {
+    let mut moved = 0;
+    for object in &collaborator.payload.0 {
+        // A velocity that no object has moves nothing.
+        let by = seconds
+            .zip(object.velocity)
+            .filter(|_| detection_fault(object).is_none());
+        let mut object = object.clone();
+        if let Some((seconds, velocity)) = by {
+            moved += 1;
+            for (center, velocity) in object.center.iter_mut().zip(velocity) {
+                *center += velocity * seconds;
+            }
+        }
+        fused.push(transform_box(&collaborator.ego_from_sender, &object));
+    }
+    moved
 }
 
 /// Late fusion: brings collaborators' boxes to the ego's frame and lists them after its own.
 #[derive(Describe)]
-#[stage(input = Input<Boxes>, counters(LOW_SCORE_BOXES, realo_fusion::OVER_LIMIT_MESSAGES, realo_fusion::REJECTED_MESSAGES))]
+#[stage(
+    input = Input<Boxes>,
+    counters(LOW_SCORE_BOXES, MOVED_BOXES, UNMOVED_BOXES, realo_fusion::OVER_LIMIT_MESSAGES, realo_fusion::REJECTED_MESSAGES)
+)]
 pub struct FusionBoxes {
     settings: Settings,
     pairing: Pairing<Boxes>,
 }
 
 const LOW_SCORE_BOXES: Counter = Counter::plain("low_score_boxes", "boxes of all agents dropped: below `min_score`");
+const MOVED_BOXES: Counter = Counter::plain(
+    "moved_boxes",
+    "boxes of collaborators that were moved by their velocities (`move_boxes`)",
+);
+const UNMOVED_BOXES: Counter = Counter::plain(
+    "unmoved_boxes",
+    "boxes of collaborators that were not moved: of unknown velocity, or of a message older than `max_move_ms`",
+);
 
 /// What it sends.
 #[derive(Debug, Outputs)]
@@ -62,10 +102,19 @@ impl Operator for FusionBoxes {
         let Some(set) = self.pairing.take(input, self.settings.max_collaborators)? else {
             return Ok(());
         };
-        let mut boxes = fuse(&set, self.settings.ego_boxes);
+        let settings = &self.settings;
+        let max_move = settings
+            .move_boxes
+            .then(|| Nanos::from(settings.max_move_ms) * 1_000_000);
+        let (mut boxes, moved) = fuse(&set, settings.ego_boxes, max_move);
+        if settings.move_boxes {
+            let theirs: usize = set.collaborators.iter().map(|one| one.payload.0.len()).sum();
+            out.count(&MOVED_BOXES, "", moved);
+            out.count(&UNMOVED_BOXES, "", theirs as u64 - moved);
+        }
         let before = boxes.len();
         // A score that is NaN is left to `nms`, which counts it as invalid.
-        boxes.retain(|object| object.score.is_nan() || object.score >= self.settings.min_score);
+        boxes.retain(|object| object.score.is_nan() || object.score >= settings.min_score);
         out.count(&LOW_SCORE_BOXES, "", (before - boxes.len()) as u64);
         set.send(Output::Proposals, Boxes(boxes), out);
         Ok(())
@@ -303,6 +352,57 @@ mod tests {
         };
         let (fused, _, out) = fuse_set(settings, vec![object([0.0; 3], 0.0, 0.1)], vec![entry]);
         assert_eq!((fused.len(), out.counted("low_score_boxes")), (1, 1));
+    }
+
+    /// A collaborator's boxes of 300 ms before the ego's, as the ego fuses them with `move_boxes`.
+    fn moved(settings: Settings, sender: Isometry3<f64>, theirs: Vec<Box3>) -> (Vec<Box3>, [u64; 2]) {
+        let mut entry = boxes("rsu1", Some(sender), theirs);
+        entry.header.stamp -= 300_000_000;
+        let settings = Settings {
+            move_boxes: true,
+            ..settings
+        };
+        // The ego's own velocity moves nothing.
+        let own = object([40.0, 0.0, 0.8], 0.0, 0.9);
+        let (mut fused, _, out) = fuse_set(settings, vec![own.clone()], vec![entry]);
+        assert_eq!(fused.remove(0), own);
+        (fused, ["moved_boxes", "unmoved_boxes"].map(|name| out.counted(name)))
+    }
+
+    #[test]
+    fn boxes_are_moved_by_their_velocities_to_the_time_of_the_ego() {
+        let (ego, sender) = (pose(1e5, -1e5, 0.4), pose(1e5 + 30.0, -1e5 + 5.0, -2.0));
+        let mut seen = object([10.0, -3.0, 0.8], 0.7, 0.9);
+        seen.velocity = Some([6.0, -8.0, 0.0]);
+        let mut unknown = seen.clone();
+        unknown.velocity = None;
+        let mut wrong = seen.clone();
+        wrong.velocity = Some([f64::INFINITY, 0.0, 0.0]);
+        let (fused, counts) = moved(Settings::default(), sender, vec![seen.clone(), unknown, wrong]);
+        assert_eq!(counts, [1, 2]);
+        let from = sender * Point3::from(seen.center);
+        let by = sender.rotation * nalgebra::Vector3::new(6.0, -8.0, 0.0) * 0.3;
+        let expected = [from + by, from, from];
+        for (found, expected) in fused.iter().zip(expected) {
+            let found = ego * Point3::from(found.center);
+            assert!((found - expected).norm() < 1e-9, "{found} for {expected}");
+        }
+    }
+
+    #[test]
+    fn boxes_of_messages_that_are_too_old_stay() {
+        let at = pose(1e5, -1e5, 0.4);
+        let seen = object([10.0, -3.0, 0.8], 0.7, 0.9);
+        for (max_move_ms, counts) in [(300, [1, 0]), (299, [0, 1])] {
+            let settings = Settings {
+                max_move_ms,
+                ..Settings::default()
+            };
+            let (fused, found) = moved(settings, at, vec![seen.clone()]);
+            assert_eq!(found, counts);
+            let by = fused[0].center[0] - seen.center[0];
+            assert!((by - 0.6 * counts[0] as f64).abs() < 1e-9, "{by}");
+        }
     }
 
     #[test]

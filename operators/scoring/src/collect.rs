@@ -3,7 +3,10 @@ use std::collections::BTreeMap;
 use realo_schemas::geometry::{View, is_plausible};
 use realo_schemas::{Box3, Boxes, GroundTruth, Header, Name, Nanos};
 
-use crate::{Detection, Dropped, Evaluation, Frame, InNoView, Labels, Outline, OutsideViews, Protocol, Scene, Truth};
+use crate::{
+    Detection, Dropped, Evaluation, Frame, Identities, Identity, InNoView, Labels, Outline, OutsideViews, Protocol,
+    Scene, Truth,
+};
 
 /// Why a message cannot be scored.
 #[derive(Clone, Debug, PartialEq, Eq, thiserror::Error)]
@@ -82,6 +85,7 @@ struct Sweep {
     boxes: Option<BoxesPart>,
     detections: Vec<Detection>,
     in_no_view: InNoView,
+    identities: Identities,
     processed: bool,
 }
 
@@ -172,7 +176,9 @@ impl Collector {
         if labelled.key {
             let asked = self.protocol.outside_views == OutsideViews::Ignored;
             ego.without_views += u64::from(asked && labelled.views.is_empty());
-            (truths, sweep.in_no_view.truths) = counted_truths(&labelled, &self.protocol, &mut ego.dropped_truths);
+            let taken = counted_truths(&labelled, &self.protocol, &mut ego.dropped_truths);
+            (truths, sweep.in_no_view.truths, sweep.identities.truths) =
+                (taken.counted, taken.unseen, taken.identities);
         }
         sweep.truth = Some(TruthPart {
             stamp: header.stamp,
@@ -215,6 +221,8 @@ impl Collector {
                 frames_without_views: ego.without_views,
                 ..Scene::default()
             };
+            let mut detected = ego.sweeps.values().flat_map(|sweep| &sweep.identities.detections);
+            let is_tracked = detected.any(|identity| identity.track.is_some());
             for (seq, sweep) in ego.sweeps {
                 let Some(TruthPart { stamp, key, truths, .. }) = sweep.truth else {
                     orphans += 1;
@@ -229,6 +237,7 @@ impl Collector {
                     detections,
                     truths,
                     in_no_view,
+                    identities: (is_tracked && key).then_some(sweep.identities),
                 });
             }
             if !scene.frames.is_empty() {
@@ -265,7 +274,9 @@ fn join(sweep: &mut Sweep, header: &Header, protocol: &Protocol, dropped: &mut D
     comparable(truth, stamp, frame, header)?;
     sweep.processed = true;
     if truth.key {
-        (sweep.detections, sweep.in_no_view.detections) = counted_detections(&boxes, truth, protocol, dropped);
+        let taken = counted_detections(&boxes, truth, protocol, dropped);
+        (sweep.detections, sweep.in_no_view.detections) = (taken.counted, taken.unseen);
+        sweep.identities.detections = taken.identities;
     }
     Ok(())
 }
@@ -308,10 +319,35 @@ fn counted(object: &Box3, protocol: &Protocol, dropped: &mut Dropped) -> Option<
     Some(class)
 }
 
-/// Objects that count, and which of them are in no view.
-fn counted_truths(labelled: &Labelled, protocol: &Protocol, dropped: &mut Dropped) -> (Vec<Truth>, Vec<usize>) {
-    let mut truths = Vec::with_capacity(labelled.boxes.len());
-    let mut unseen = Vec::new();
+/// Boxes that count.
+struct Taken<T> {
+    counted: Vec<T>,
+    /// Which of them are in no view.
+    unseen: Vec<usize>,
+    identities: Vec<Identity>,
+}
+
+impl<T> Taken<T> {
+    fn with_room_for(boxes: usize) -> Self {
+        Taken {
+            counted: Vec::with_capacity(boxes),
+            unseen: Vec::new(),
+            identities: Vec::with_capacity(boxes),
+        }
+    }
+
+    fn add(&mut self, counted: T, object: &Box3, views: &[View]) {
+        if in_no_view(object, views) {
+            self.unseen.push(self.counted.len());
+        }
+        self.counted.push(counted);
+        self.identities.push(Identity::of(object));
+    }
+}
+
+/// Objects that count.
+fn counted_truths(labelled: &Labelled, protocol: &Protocol, dropped: &mut Dropped) -> Taken<Truth> {
+    let mut taken = Taken::with_room_for(labelled.boxes.len());
     for (index, object) in labelled.boxes.iter().enumerate() {
         let Some(class) = counted(object, protocol, dropped) else {
             continue;
@@ -321,32 +357,29 @@ fn counted_truths(labelled: &Labelled, protocol: &Protocol, dropped: &mut Droppe
             dropped.few_points += 1;
             continue;
         }
-        if in_no_view(object, labelled.views) {
-            unseen.push(truths.len());
-        }
-        truths.push(Truth {
+        let truth = Truth {
             class,
             outline: Outline::of(object),
             points,
-        });
+        };
+        taken.add(truth, object, labelled.views);
     }
-    (truths, unseen)
+    taken
 }
 
-/// Detections that count, and which of them are in no view.
+/// Detections that count.
 fn counted_detections(
     boxes: &[Box3],
     truth: &TruthPart,
     protocol: &Protocol,
     dropped: &mut Dropped,
-) -> (Vec<Detection>, Vec<usize>) {
+) -> Taken<Detection> {
     let own = |object: &Box3| {
         truth.ego_footprint.is_some_and(|[x0, x1, y0, y1]| {
             (x0..=x1).contains(&object.center[0]) && (y0..=y1).contains(&object.center[1])
         })
     };
-    let mut detections = Vec::with_capacity(boxes.len());
-    let mut unseen = Vec::new();
+    let mut taken = Taken::with_room_for(boxes.len());
     for object in boxes {
         let Some(class) = counted(object, protocol, dropped) else {
             continue;
@@ -355,16 +388,14 @@ fn counted_detections(
             dropped.own_body += 1;
             continue;
         }
-        if in_no_view(object, &truth.views) {
-            unseen.push(detections.len());
-        }
-        detections.push(Detection {
+        let detection = Detection {
             class,
             score: object.score,
             outline: Outline::of(object),
-        });
+        };
+        taken.add(detection, object, &truth.views);
     }
-    (detections, unseen)
+    taken
 }
 
 /// Scores recorded boxes after the fact; the same as the operator does in a graph.

@@ -4,7 +4,7 @@ use realo_schemas::geometry::{Footprint, normalize_yaw};
 use realo_schemas::{Box3, Nanos};
 use serde::{Deserialize, Serialize};
 
-use crate::Protocol;
+use crate::{Identities, Protocol};
 
 /// A rectangle on the ground plane, in the ego's body frame.
 ///
@@ -164,6 +164,9 @@ pub struct Frame {
     /// Those of them that are in no view, where the protocol ignores such.
     #[serde(default, skip_serializing_if = "InNoView::is_empty")]
     pub in_no_view: InNoView,
+    /// Identities and velocities of both, where detections of the scene have identities.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub identities: Option<Identities>,
 }
 
 /// Which detections and objects of a frame are in no view: indices, ascending.

@@ -2,10 +2,12 @@
 //!
 //! - A [`Protocol`] says what counts: region, rule, classes, IoUs, points.
 //! - A [`Collector`] joins truth and boxes into [`Frame`]s; the frames of several runs can be [`pool`]ed exactly.
-//! - [`score`] makes the table: two orders of detections, objects of all agents and those that the ego sees.
+//! - [`score`] makes the table: two orders of detections, objects of all agents and those that the ego sees; and HOTA and errors of
+//!   velocities where detections have identities.
 
 mod collect;
 mod frame;
+pub mod hota;
 mod intervals;
 mod matching;
 mod precision;
@@ -16,6 +18,7 @@ mod sequence;
 mod table;
 #[cfg(test)]
 mod tests;
+mod tracking;
 
 use serde::{Deserialize, Serialize};
 
@@ -28,6 +31,7 @@ pub use protocol::{EgoKind, Labels, OutsideViews, Protocol, ProtocolError, Rule,
 pub use same::{TruthMismatch, same_truth};
 pub use scores::{Accuracy, Counts, FrameCounts, FrameScore, PointsBin, RangeBin, Scores, frame_scores, score};
 pub use table::{Orders, Table};
+pub use tracking::{Identities, Identity, TrackScores};
 
 /// The wire on which boxes are scored and kept.
 pub const BOXES_WIRE: &str = "the boxes that are scored";

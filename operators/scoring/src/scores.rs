@@ -7,7 +7,8 @@ use crate::intervals::{Intervals, intervals};
 use crate::matching::Overlaps;
 use crate::sequence::{Order, Sequence, sequences};
 use crate::table::{Orders, Table, mean_of, table};
-use crate::{Dropped, Evaluation, Frame, Ignored, Outcome, OutsideViews, Protocol, Scene, Scope};
+use crate::tracking::tracking;
+use crate::{Dropped, Evaluation, Frame, Ignored, Outcome, OutsideViews, Protocol, Scene, Scope, TrackScores};
 
 /// The table of an evaluation; all accuracies are fractions in [0, 1].
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -35,6 +36,9 @@ pub struct Scores {
     /// What is in no view; `None` where the protocol does not ask.
     #[serde(default)]
     pub in_no_view: Option<Ignored>,
+    /// Identities and velocities by class; `None` where detections have no identities, or objects have none.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub tracking: Option<BTreeMap<String, TrackScores>>,
     /// Messages with boxes for which no truth came.
     pub boxes_without_truth: u64,
     /// What a reader must know, e.g. why a value is null.
@@ -144,6 +148,7 @@ pub fn score(evaluation: &Evaluation) -> Scores {
         dropped_detections: Dropped::default(),
         dropped_truths: Dropped::default(),
         in_no_view: (protocol.outside_views == OutsideViews::Ignored).then(|| ignored(evaluation)),
+        tracking: tracking(evaluation),
         boxes_without_truth: 0,
         notes: Vec::new(),
     };

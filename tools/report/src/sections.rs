@@ -3,6 +3,7 @@
 mod objects;
 mod scores;
 mod times;
+mod tracking;
 mod traffic;
 
 use std::collections::BTreeSet;
@@ -18,6 +19,7 @@ use crate::settings::{ISA, MODEL, PRECOMPUTED, PROGRAMS, PROJECT, RATE, SEED, SE
 use objects::{detections, recall};
 use scores::{accuracy, in_the_order_of_v2x_real, intervals, mean_accuracy, seen};
 use times::{ages, latency, steps};
+use tracking::{identities, velocities};
 use traffic::{accounting, are_states_used, kinds, peers, volume};
 
 /// Rows under a title.
@@ -121,6 +123,12 @@ impl Contents<'_> {
             sections.push(self.section(self.at("AP, processed frames only"), |rows| {
                 accuracy(rows, &ious, |result| Some(&result.accuracy_processed.as_ref()?.sorted));
             }));
+        }
+        if self.runs.iter().any(|run| run.result.tracking.is_some()) {
+            sections.extend([
+                self.section("identities: HOTA / DetA / AssA", identities),
+                self.section("velocity error, m/s: all / moving", velocities),
+            ]);
         }
         if self.full {
             sections.extend([
@@ -244,7 +252,12 @@ fn is_offline(run: &Run) -> bool {
 
 /// The classes of all runs: those that everybody looks for first.
 pub fn classes<'a, T: 'a>(tables: impl Iterator<Item = &'a Table<T>>) -> Vec<String> {
-    let mut classes = names(tables.flat_map(|table| table.keys()));
+    classes_of(tables.flat_map(|table| table.keys()))
+}
+
+/// The same of names.
+fn classes_of<'a>(all: impl Iterator<Item = &'a String>) -> Vec<String> {
+    let mut classes = names(all);
     let place = |class: &String| {
         ["vehicle", "pedestrian", "truck"]
             .iter()

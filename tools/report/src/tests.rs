@@ -1,6 +1,6 @@
 use realo_results::{Accounted, Ages, Fates, LinkBooks, NodeSummary, Run, Settings, Timing, TimingSamples};
 use realo_schemas::{Box3, Boxes, GroundTruth, Header, Kind, Nanos};
-use realo_scoring::{Evaluation, Protocol, evaluate, score};
+use realo_scoring::{Evaluation, Protocol, TrackScores, evaluate, score};
 
 use super::*;
 
@@ -93,6 +93,28 @@ pub(crate) fn run(log: &str, ego: &str, luck: u64) -> Run {
     let samples = run.samples.clone();
     run.result.conclude(&samples);
     run
+}
+
+#[test]
+fn identities_and_velocities_have_blocks_where_they_are_known() {
+    let mut tracked = run("a", "cav1", 1);
+    let text = table(&[("late_fusion", &tracked)], false, 100);
+    assert!(!text.contains("HOTA") && !text.contains("velocity error"), "{text}");
+    let scores = TrackScores {
+        hota: 0.71,
+        detection: 0.64,
+        association: 0.8,
+        velocity_error: Some(0.4),
+        velocities: 12,
+        ..TrackScores::default()
+    };
+    tracked.result.tracking = Some([("vehicle".to_string(), scores)].into());
+    let text = table(&[("late_fusion", &tracked)], false, 100);
+    assert!(
+        text.contains("0.710 / 0.640 / 0.800") && text.contains("0.40 / –"),
+        "{text}"
+    );
+    assert!(text.contains("HOTA: higher order tracking accuracy"), "{text}");
 }
 
 #[test]

@@ -20,6 +20,14 @@ const WORDS: &[(&str, &str)] = &[
         "those on which the ego alone has enough points",
     ),
     (
+        "HOTA",
+        "higher order tracking accuracy, from 0 to 1 (best), as TrackEval counts it: of what is found (DetA) and under one identity (AssA)",
+    ),
+    (
+        "velocity error",
+        "mean size of what velocities of detections on objects are off; moving: at 1 m/s or more",
+    ),
+    (
         "KB per frame",
         "what crossed the links to the ego for each of its sweeps, 1 KB = 1,000 bytes",
     ),

@@ -10,4 +10,5 @@ pub use realo_nms::Nms;
 pub use realo_projector::{Project, Projector};
 pub use realo_recorded_detections::RecordedDetections;
 pub use realo_sync::{Settings as SyncSettings, Sync};
+pub use realo_tracker::Tracker;
 pub use realo_transmission::{TransmissionDecoder, TransmissionEncoder};

@@ -109,6 +109,7 @@ mod tests {
         let cases = [
             ("no_fusion", "ego.head", 43_700_000),
             ("late_fusion", "ego.head", 43_700_000),
+            ("late_fusion_tracked", "ego.head", 43_700_000),
             ("early_fusion", "fusion.head", 80_900_000),
             ("fcooper", "fusion.head", 61_600_000),
             ("attfuse", "fusion.head", 68_600_000),

@@ -99,7 +99,13 @@ mod tests {
         let one = [("fusion.fusion", "max_collaborators", "1")];
         assert_eq!(reported("attfuse", false, &one), Some("1".into()));
         assert_eq!(reported("late_fusion", false, &one), Some("1".into()));
-        for name in ["late_fusion", "early_fusion", "hybrid_fusion", "no_fusion"] {
+        for name in [
+            "late_fusion",
+            "late_fusion_tracked",
+            "early_fusion",
+            "hybrid_fusion",
+            "no_fusion",
+        ] {
             assert_eq!(reported(name, false, &[]), None, "{name} takes all, or has two fusions");
         }
         let paper = ("v2x.link", "profile", "paper");
