@@ -120,7 +120,8 @@ fn read_wheels(row: &Row) -> Result<Vec<WheelSpeed>, WireError> {
     let wheel = |at: usize| WheelSpeed {
         taken: taken[at],
         speed: speeds[at],
-        variance: variances.is_valid(at).then(|| variances.value(at)),
+        // Other languages have no numbers that are missing.
+        variance: Some(variances.value(at)).filter(|of| variances.is_valid(at) && !of.is_nan()),
     };
     Ok((0..taken.len()).map(wheel).collect())
 }
