@@ -140,7 +140,7 @@ pub const POSES_JUMP: Counter = Counter::log_fault(
     "poses jump faster than any vehicle drives, so that sweeps near them are misplaced",
     "leave out poses without a fix, and smooth the others",
 );
-pub const MOTION_UNUSABLE: Counter = Counter::log_fault(
+pub const MOTION_UNUSABLE: Counter = Counter::loss(
     "motion_unusable",
     "measurements of IMUs, receivers and wheels in a frame that nothing places, with numbers that no sensor gives, or on the Earth \
      while the log does not say where its [map](log-format.md#motion) is; not sent",

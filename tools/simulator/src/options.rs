@@ -373,10 +373,7 @@ mod tests {
             (|o| o.agents = vec!["cav01".into()], "cav01"),
             (|o| o.agents = vec!["cav1".into(), "cav1".into()], "twice"),
             (|o| o.pose_noise.heading_bias_deg = -1.0, "heading_bias_deg"),
-            (
-                |o| _ = o.sweep_phase_ms.insert("cav1".into(), 100.0),
-                "sweep_phase_ms",
-            ),
+            (|o| _ = o.sweep_phase_ms.insert("cav1".into(), 100.0), "sweep_phase_ms"),
             (
                 |o| _ = o.sweep_phase_ms.insert("cav3".into(), 1.0),
                 "`cav3` does not record",
