@@ -2,7 +2,7 @@
 //!
 //! The vehicle frame leans with the carrier: pitch and roll follow the ground's slope and the springs, the origin stays that
 //! of the body frame. The unit feels the vertical motion and the leaning as means over 80 ms, as tyres and springs give them;
-//! the rest is the motion of the true poses, to less than 2 mm. A sample is the mean over the 10 ms that end at its stamp.
+//! the rest is the motion of the true poses, to less than 1 cm. A sample is the mean over the 10 ms that end at its stamp.
 
 mod errors;
 mod track;
