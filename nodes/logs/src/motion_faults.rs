@@ -19,8 +19,8 @@ const STUCK_WHEELS: usize = 100;
 const SATURATED: usize = 5;
 /// A rate of so much, rad/s, or a force, m/s², may be the end of a range.
 const EXTREME: [f64; 2] = [1.5, 19.0];
-/// Positions jump that are so far from the one before, m, and faster than this, m/s.
-const JUMP: [f64; 2] = [5.0, 70.0];
+/// Positions jump that are so far from the one before, m, faster than this, m/s, and this many of their standard deviations away.
+const JUMP: [f64; 3] = [5.0, 70.0, 6.0];
 /// Positions so far from the poses of the agent, m, are of another place.
 const ELSEWHERE: f64 = 200.0;
 /// A unit that is silent for so many periods has a gap.
@@ -39,11 +39,11 @@ pub(crate) fn motion_faults(log: &Log, agent: &str) -> Result<Vec<String>, LogEr
         if !log.has(agent, stream) {
             continue;
         }
-        let (all, unusable) = measured(log, agent, stream)?;
+        let Measured { all, stamps, unusable } = measured(log, agent, stream)?;
         let topic = stream.topic(agent);
         found.extend(unusable.map(|words| format!("{topic}: {words}")));
         let faults = [
-            disorder(&stamps(&all)),
+            disorder(&stamps),
             imu_faults(&all.imu),
             fix_faults(&all.fixes, &poses),
             wheel_faults(&all.wheels, &poses),
@@ -53,17 +53,27 @@ pub(crate) fn motion_faults(log: &Log, agent: &str) -> Result<Vec<String>, LogEr
     Ok(found)
 }
 
-/// All measurements of a stream, and how many cannot be used.
-fn measured(log: &Log, agent: &str, stream: Stream) -> Result<(Motion, Option<String>), LogError> {
+/// What a stream has.
+#[derive(Default)]
+struct Measured {
+    all: Motion,
+    /// Of all messages that can be used, also those of receivers that have no position.
+    stamps: Vec<Nanos>,
+    /// How many cannot be used, in words.
+    unusable: Option<String>,
+}
+
+fn measured(log: &Log, agent: &str, stream: Stream) -> Result<Measured, LogError> {
     let mut reader = log.read_all(&[(agent, stream)])?;
-    let (mut all, mut messages, mut lost, mut first) = (Motion::default(), 0, 0, None);
+    let (mut found, mut messages, mut lost, mut first) = (Measured::default(), 0, 0, None);
     while let Some(entry) = reader.next()? {
         messages += 1;
         match entry.motion() {
             Ok(motion) => {
-                all.imu.extend(motion.imu);
-                all.fixes.extend(motion.fixes);
-                all.wheels.extend(motion.wheels);
+                found.stamps.push(entry.stamp());
+                found.all.imu.extend(motion.imu);
+                found.all.fixes.extend(motion.fixes);
+                found.all.wheels.extend(motion.wheels);
             }
             Err(error) => {
                 lost += 1;
@@ -71,15 +81,9 @@ fn measured(log: &Log, agent: &str, stream: Stream) -> Result<(Motion, Option<St
             }
         }
     }
-    let words = first.map(|first| format!("{lost} of {messages} {}; the first: {first}", MOTION_UNUSABLE[0]));
-    Ok((all, words))
-}
-
-fn stamps(motion: &Motion) -> Vec<Nanos> {
-    let imu = motion.imu.iter().map(|sample| sample.taken);
-    let fixes = motion.fixes.iter().map(|fix| fix.taken);
-    let wheels = motion.wheels.iter().map(|wheel| wheel.taken);
-    imu.chain(fixes).chain(wheels).map(|taken| taken.stamp).collect()
+    let words = |first| format!("{lost} of {messages} {}; the first: {first}", MOTION_UNUSABLE[0]);
+    found.unusable = first.map(words);
+    Ok(found)
 }
 
 /// Stamps that do not rise, or pause.
@@ -191,10 +195,10 @@ fn gravity(samples: &[ImuSample]) -> Option<String> {
     ))
 }
 
-/// Stamps and places of an agent's poses.
-type Places = Vec<(Nanos, [f64; 3])>;
+/// Stamp and place of a pose.
+type Place = (Nanos, [f64; 3]);
 
-fn positions(log: &Log, agent: &str) -> Result<Places, LogError> {
+fn positions(log: &Log, agent: &str) -> Result<Vec<Place>, LogError> {
     if !log.has(agent, Stream::Pose) {
         return Ok(Vec::new());
     }
@@ -216,7 +220,7 @@ fn positions(log: &Log, agent: &str) -> Result<Places, LogError> {
 }
 
 /// The places before and after a time, at most a second apart.
-fn around(places: &Places, stamp: Nanos) -> Option<[&(Nanos, [f64; 3]); 2]> {
+fn around(places: &[Place], stamp: Nanos) -> Option<[&Place; 2]> {
     let next = places.partition_point(|(known, _)| *known <= stamp);
     let (before, after) = (places.get(next.checked_sub(1)?)?, places.get(next)?);
     (after.0 - before.0 <= 1_000_000_000).then_some([before, after])
@@ -226,7 +230,7 @@ fn apart(one: &[f64; 3], other: &[f64; 3]) -> f64 {
     norm(&std::array::from_fn(|axis| one[axis] - other[axis]))
 }
 
-fn fix_faults(fixes: &[GnssFix], poses: &Places) -> Vec<String> {
+fn fix_faults(fixes: &[GnssFix], poses: &[Place]) -> Vec<String> {
     let mut found = Vec::new();
     let run = longest_run(fixes, |one, other| one.position == other.position);
     if run >= STUCK_FIXES {
@@ -239,7 +243,8 @@ fn fix_faults(fixes: &[GnssFix], poses: &Places) -> Vec<String> {
             apart(&one.position, &next.position),
             to_seconds(next.taken.stamp - one.taken.stamp),
         );
-        (far > JUMP[0] && far > JUMP[1] * time).then_some(far)
+        let variance = next.covariance.map_or(0.0, |of| of[0] + of[4] + of[8]);
+        (far > JUMP[0] && far > JUMP[1] * time && far > JUMP[2] * variance.sqrt()).then_some(far)
     };
     let jumps: Vec<f64> = fixes.array_windows().filter_map(jump).collect();
     if let Some(first) = jumps.first() {
@@ -265,7 +270,7 @@ fn fix_faults(fixes: &[GnssFix], poses: &Places) -> Vec<String> {
     found
 }
 
-fn wheel_faults(wheels: &[WheelSpeed], poses: &Places) -> Vec<String> {
+fn wheel_faults(wheels: &[WheelSpeed], poses: &[Place]) -> Vec<String> {
     let mut found = Vec::new();
     let run = longest_run(wheels, |one, other| one.speed == other.speed && one.speed != 0.0);
     if run >= STUCK_WHEELS {
@@ -373,7 +378,7 @@ mod tests {
         );
     }
 
-    fn driven() -> Places {
+    fn driven() -> Vec<Place> {
         (0..2_000).map(|k| (k * 10 * MS, [0.1 * k as f64, 5.0, 0.0])).collect()
     }
 

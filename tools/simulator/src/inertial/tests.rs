@@ -65,7 +65,7 @@ fn samples_integrate_to_the_true_path() {
     let options = options(Scenario::Loop, 14.0);
     with_world(&options, |world, agent| {
         let first = agent.sweep_start(0) - SWEEP_PERIOD;
-        let track = Track::new(world, agent, first, 1_500);
+        let track = Track::new(world, agent, first, 1_420);
         let point = [0.5, 0.0, UNIT_HEIGHT];
         let state = |k: usize| {
             let time = first + k as Nanos * POSE_PERIOD;
