@@ -112,6 +112,60 @@ fn realtime_as_virtual() {
     );
 }
 
+#[test]
+fn what_motion_sensors_measured_reaches_localization() {
+    decided(motion_on_dora);
+}
+
+fn motion_on_dora() {
+    let _share = half();
+    let log = simulated(
+        "moving",
+        &[
+            "--seed",
+            "903",
+            "--seconds",
+            "1",
+            "--phase",
+            "spread",
+            "--no-clouds",
+            "--key-hz",
+            "10",
+            "--inertial",
+            "tactical",
+        ],
+    );
+    let of =
+        |result: &Value, stage: &str, counter: &str| result["nodes"][stage]["counters"][counter].as_u64().unwrap_or(0);
+    let in_virtual = |name: &str, more: &[&str]| {
+        let args = [&["--recorded-detections", "--ego", EGO], more].concat();
+        run_virtual(name, "late_fusion", &log, &args)
+    };
+    let expected = in_virtual("motion_virtual", &[]);
+    let out = folder("motion_realtime");
+    let result = undisturbed(|| run_realtime(&out, &log, &["--rate", "0.1"]));
+    for (stage, vehicles) in [("ego.sense.localization", 1), ("others.sense.localization", 1)] {
+        // 100 a second from 0.1 s before the first sweep to as long after the last.
+        assert_eq!(of(&expected, stage, "imu_samples"), 120 * vehicles, "{stage}");
+        for counter in ["imu_samples", "gnss_fixes", "wheel_speeds"] {
+            assert_eq!(
+                of(&result, stage, counter),
+                of(&expected, stage, counter),
+                "{stage} {counter}"
+            );
+        }
+        assert_eq!(of(&result, stage, "motion_backwards"), 0, "{stage}");
+    }
+    assert_eq!(of(&expected, "player", "motion_unusable"), 0);
+    assert_eq!(result["accuracy"], expected["accuracy"]);
+    // Nothing is estimated from it yet: without it, all else is the same.
+    let without = in_virtual("motion_off", &["--set", "player.motion=off"]);
+    assert_eq!(of(&without, "ego.sense.localization", "imu_samples"), 0);
+    for part in ["accuracy", "links", "age_ms", "notes"] {
+        assert_eq!(without[part], expected[part], "{part}");
+    }
+}
+
 /// The ego of every run.
 const EGO: &str = "cav1";
 /// What profile `paper` takes to carry boxes, ns.

@@ -26,17 +26,20 @@ pub enum Kind {
     Truth,
     /// Counters, timings and scores.
     Report,
+    /// Measurements of how an agent moves.
+    Motion,
 }
 
 impl Kind {
     /// Every kind, in accounting order.
-    pub const ALL: [Kind; 6] = [
+    pub const ALL: [Kind; 7] = [
         Kind::Points,
         Kind::Features,
         Kind::Boxes,
         Kind::AgentState,
         Kind::Truth,
         Kind::Report,
+        Kind::Motion,
     ];
 
     /// The kind's name in logs, tables and files.
@@ -48,6 +51,7 @@ impl Kind {
             Kind::AgentState => "agent_state",
             Kind::Truth => "truth",
             Kind::Report => "report",
+            Kind::Motion => "motion",
         }
     }
 }

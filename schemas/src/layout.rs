@@ -4,8 +4,8 @@ use arrow_schema::DataType;
 
 use crate::wire::to_arrow;
 use crate::{
-    AgentState, Boxes, DType, FeatureMap, GroundTruth, Header, Kind, Message, Packet, Payload, PayloadType, PointCloud,
-    Pose, PoseStatus, Report, Selection,
+    AgentState, Boxes, DType, FeatureMap, GroundTruth, Header, Kind, Message, Motion, Packet, Payload, PayloadType,
+    PointCloud, Pose, PoseStatus, Report, Selection,
 };
 
 /// The name of a column, and its type as Arrow writes it: `List<Float64>`.
@@ -79,6 +79,7 @@ fn example(payload: PayloadType) -> Payload {
         .into(),
         PayloadType::Boxes => Boxes::default().into(),
         PayloadType::GroundTruth => GroundTruth::default().into(),
+        PayloadType::Motion => Motion::default().into(),
     }
 }
 

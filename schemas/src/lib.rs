@@ -8,6 +8,7 @@ pub mod geometry;
 mod header;
 pub mod layout;
 mod message;
+pub mod motion;
 mod payload;
 pub mod report;
 mod time;
@@ -15,6 +16,7 @@ pub mod wire;
 
 pub use header::{Clock, Header, Kind, Name, Pose, TraceEntry, body_frame};
 pub use message::{Message, Payload, PayloadType, UnexpectedPayload};
+pub use motion::{FixQuality, GnssFix, ImuSample, Motion, WheelSpeed};
 pub use payload::{
     AgentState, Box3, Boxes, DType, Elements, FeatureMap, GroundTruth, OwnLabels, Packet, PointCloud, PoseStatus,
     Report, Selection,

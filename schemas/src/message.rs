@@ -2,7 +2,7 @@ use std::fmt;
 
 use serde::{Deserialize, Serialize};
 
-use crate::{AgentState, Boxes, FeatureMap, GroundTruth, Header, Packet, PointCloud, Report, Selection};
+use crate::{AgentState, Boxes, FeatureMap, GroundTruth, Header, Motion, Packet, PointCloud, Report, Selection};
 
 /// A header and what it speaks of.
 #[derive(Clone, Debug, PartialEq)]
@@ -32,6 +32,8 @@ pub enum Payload {
     Boxes(Boxes),
     /// What is really there.
     GroundTruth(GroundTruth),
+    /// Measurements of how an agent moves.
+    Motion(Motion),
 }
 
 /// The type of a payload, as ports declare it.
@@ -46,11 +48,12 @@ pub enum PayloadType {
     Report,
     Boxes,
     GroundTruth,
+    Motion,
 }
 
 impl PayloadType {
     /// Every type.
-    pub const ALL: [PayloadType; 8] = [
+    pub const ALL: [PayloadType; 9] = [
         PayloadType::PointCloud,
         PayloadType::AgentState,
         PayloadType::FeatureMap,
@@ -59,6 +62,7 @@ impl PayloadType {
         PayloadType::Report,
         PayloadType::Boxes,
         PayloadType::GroundTruth,
+        PayloadType::Motion,
     ];
 
     /// The type's name, also in graphs after `realo/v1/`.
@@ -72,6 +76,7 @@ impl PayloadType {
             PayloadType::Report => "Report",
             PayloadType::Boxes => "Boxes",
             PayloadType::GroundTruth => "GroundTruth",
+            PayloadType::Motion => "Motion",
         }
     }
 }
@@ -105,6 +110,7 @@ impl Payload {
             Payload::Report(_) => PayloadType::Report,
             Payload::Boxes(_) => PayloadType::Boxes,
             Payload::GroundTruth(_) => PayloadType::GroundTruth,
+            Payload::Motion(_) => PayloadType::Motion,
         }
     }
 }
@@ -141,7 +147,8 @@ conversions!(
     Selection,
     Report,
     Boxes,
-    GroundTruth
+    GroundTruth,
+    Motion
 );
 
 /// A message of another type than the port's.

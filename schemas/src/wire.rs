@@ -5,6 +5,7 @@
 //! naming the field, what it wanted and what it found.
 
 mod columns;
+mod motion;
 
 use std::sync::Arc;
 
@@ -74,6 +75,7 @@ pub fn to_arrow(message: &Message) -> StructArray {
         }
         Payload::Boxes(boxes) => box_columns(&boxes.0, "", &mut row),
         Payload::GroundTruth(truth) => truth_columns(truth, &mut row),
+        Payload::Motion(measured) => motion::write(measured, &mut row),
     }
     row.finish()
 }
@@ -114,6 +116,7 @@ fn read_row(row: &Row) -> Result<Message, WireError> {
         .into(),
         PayloadType::Boxes => Boxes(read_boxes(row, "")?).into(),
         PayloadType::GroundTruth => read_truth(row)?.into(),
+        PayloadType::Motion => motion::read(row)?.into(),
     };
     Ok(Message { header, payload })
 }

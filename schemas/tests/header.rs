@@ -30,6 +30,7 @@ fn kinds_have_names_and_payloads() {
         (PayloadType::AgentState, Some(Kind::AgentState)),
         (PayloadType::GroundTruth, None),
         (PayloadType::Packet, None),
+        (PayloadType::Motion, None),
     ];
     for (payload, kind) in carried {
         assert_eq!(Kind::of(payload), kind);

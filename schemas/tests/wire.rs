@@ -153,7 +153,41 @@ fn payloads() -> Vec<(Kind, Payload)> {
         (Kind::Truth, truth.into()),
         (Kind::Truth, labelled.into()),
         (Kind::Truth, GroundTruth::default().into()),
+        (Kind::Motion, motion().into()),
+        (Kind::Motion, Motion::default().into()),
     ]
+}
+
+fn motion() -> Motion {
+    let taken = |stamp: Nanos| motion::Taken {
+        stamp,
+        arrival: stamp - 40,
+    };
+    let sample = |stamp: Nanos| ImuSample {
+        taken: taken(stamp),
+        angular_rate: [0.01, -0.02, 0.3],
+        specific_force: [0.5, -0.25, 9.81],
+    };
+    let fix = |stamp: Nanos, covariance: Option<[f64; 9]>| GnssFix {
+        taken: taken(stamp),
+        position: [1e5, -3.0, 0.5],
+        covariance,
+        quality: FixQuality::Differential,
+    };
+    let wheel = |speed: f64, variance: Option<f64>| WheelSpeed {
+        taken: taken(-5),
+        speed,
+        variance,
+    };
+    Motion {
+        imu: vec![sample(-20), sample(-10)],
+        imu_variance: Some([1e-6, 1e-4]),
+        fixes: vec![fix(-7, Some([0.25; 9])), fix(-3, None)],
+        wheels: vec![wheel(0.0, None), wheel(-1.5, Some(0.01))],
+        imu_position: [0.5, 0.0, 0.4],
+        antenna: [-0.2, 0.1, 1.6],
+        axle: [0.5, 0.0, 0.0],
+    }
 }
 
 #[test]
@@ -323,6 +357,27 @@ fn every_field_is_held_to_its_content() {
             "3 counts for 2 objects and 2 agents",
         ),
         (GroundTruth, "ego_footprint", numbers(&[1.0; 3]), "4 numbers, found 3"),
+        (Motion, "imu_arrival", times(&[1]), "1 values for 2 stamps"),
+        (Motion, "imu_stamp", times(&[-5, i64::MIN]), "within an hour"),
+        (Motion, "imu_stamp", times(&[-5; 3]), "2 values for 3 stamps"),
+        (
+            Motion,
+            "imu_angular_rate",
+            numbers(&[0.0; 2]),
+            "expected FixedSizeListArray",
+        ),
+        (Motion, "imu_variance", numbers(&[1.0]), "2 numbers or none, found 1"),
+        (Motion, "imu_variance", numbers(&[-1.0, 0.0]), "a variance of 0"),
+        (
+            Motion,
+            "fix_quality",
+            list(column(arrow_array::UInt8Array::from(vec![0, 9]))),
+            "unknown number 9",
+        ),
+        (Motion, "wheel_speed", numbers(&[0.0, f64::NAN]), "a speed within"),
+        (Motion, "wheel_variance", numbers(&[0.0]), "1 values for 2 stamps"),
+        (Motion, "antenna_at", numbers(&[0.0; 2]), "3 numbers, found 2"),
+        (Motion, "axle_at", numbers(&[0.0, f64::INFINITY, 0.0]), "`axle`"),
     ];
     for (payload, field, content, expected) in cases {
         let error = from_arrow(&replace(&row_of(payload), field, Some(content)));

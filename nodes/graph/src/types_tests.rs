@@ -20,6 +20,9 @@ fn about(payload: PayloadType) -> &'static str {
         }
         PayloadType::Report => "Counters, timings or scores as a JSON document",
         PayloadType::Boxes => "Detections in the header's frame: metres, radians, score in [0, 1]",
+        PayloadType::Motion => {
+            "What an agent's IMU, GNSS receiver and wheels gave: stamps from the header's stamp, arrivals from its ready, ns; vehicle axes, SI"
+        }
         PayloadType::GroundTruth => {
             "What is there around the ego, in its true body frame; points is [objects, agents]; own_ is what its own side labelled"
         }

@@ -33,6 +33,12 @@ impl<'a> CdrWriter<'a> {
         self.u8(u8::from(value));
     }
 
+    /// 16 bits.
+    pub fn u16(&mut self, value: u16) {
+        self.align(2);
+        self.buffer.extend_from_slice(&value.to_le_bytes());
+    }
+
     /// 32 bits, also lengths of sequences.
     pub fn u32(&mut self, value: u32) {
         self.align(4);
@@ -148,6 +154,11 @@ impl<'a> CdrReader<'a> {
     /// A truth value.
     pub fn bool(&mut self) -> Result<bool, CdrError> {
         Ok(self.u8()? != 0)
+    }
+
+    /// 16 bits.
+    pub fn u16(&mut self) -> Result<u16, CdrError> {
+        self.array().map(u16::from_le_bytes)
     }
 
     /// 32 bits.

@@ -102,10 +102,11 @@ pub enum Step {
 impl Step {
     /// Of a message of a stream. Boxes and packets may be computed late: only early ones show a clock that is off.
     pub fn of(stream: Stream, stamp: Nanos, ready: Nanos) -> Step {
-        let sensed = matches!(
-            stream,
-            Stream::Pose | Stream::PoseTruth | Stream::Sweeps | Stream::Points
-        );
+        let sensed = stream.is_motion()
+            || matches!(
+                stream,
+                Stream::Pose | Stream::PoseTruth | Stream::Sweeps | Stream::Points
+            );
         match stamp.saturating_sub(ready) {
             ahead if ahead > AHEAD_MOST => Step::Off,
             ahead if ahead > AHEAD_TOLERATED => Step::Ahead,

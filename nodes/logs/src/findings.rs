@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use realo_schemas::{Boxes, Nanos, to_seconds};
 
 use crate::box_faults::box_faults;
+use crate::motion_faults::motion_faults;
 use crate::timing::{self, AgentTimes, Times};
 use crate::truth_faults::{TruthFault, TruthFinding, truth_faults};
 use crate::words::{seconds, side};
@@ -50,6 +51,7 @@ pub(crate) fn problems(log: &Log) -> Result<(Vec<String>, Classes), LogError> {
         problems.extend(missing_topics(log, &agent.name));
         problems.extend(sweeps_of_two_topics(log, &agent.name).map(|words| format!("`{}`: {words}", agent.name)));
         problems.extend(box_faults(log, &agent.name)?);
+        problems.extend(motion_faults(log, &agent.name)?);
         is_readable &= are_known;
         if are_known {
             agents.push(times);

@@ -5,6 +5,7 @@ use std::path::Path;
 use realo_schemas::Nanos;
 use serde::{Deserialize, Serialize};
 
+use crate::geodesy::MapOrigin;
 use crate::{LogError, Precomputed};
 
 /// Name of the metadata record of a log.
@@ -17,6 +18,10 @@ pub const CLOCKS: &str = "clocks";
 pub const LEVELLED: &str = "levelled";
 /// Key of the record that says what was computed beforehand.
 const PRECOMPUTED: &str = "precomputed";
+/// Key of the record that says where the map is on the Earth.
+const MAP_ORIGIN: &str = "map_origin";
+/// Key of the record that says how wrong the clocks of agents are, where that is known.
+const CLOCK_ERRORS: &str = "clock_errors";
 /// Version of the layout.
 pub const FORMAT: &str = "1";
 
@@ -108,6 +113,33 @@ pub struct LogInfo {
     /// What of it was computed beforehand.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub precomputed: Option<Precomputed>,
+    /// Where the map's origin is on WGS 84: latitude and longitude, degrees, and height over the ellipsoid, m; where known.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub map_origin: Option<[f64; 3]>,
+    /// How wrong the clocks of agents are, by agent, where that is known, as in a simulated log.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub clock_errors: BTreeMap<String, ClockError>,
+}
+
+/// What the stamps of an agent are wrong by: `offset + drift · t`, and `step` more from `step_at` on, t from the log's beginning.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
+pub struct ClockError {
+    /// At the beginning, ns; above 0 the clock is ahead.
+    pub offset: Nanos,
+    /// What the clock gains, s/s.
+    pub drift: f64,
+    /// What the clock jumps by, ns.
+    pub step: Nanos,
+    /// When it jumps, ns from the beginning.
+    pub step_at: Nanos,
+}
+
+impl ClockError {
+    /// What a stamp is wrong by, ns, `since` the log's beginning.
+    pub fn at(&self, since: Nanos) -> Nanos {
+        let step = if since >= self.step_at { self.step } else { 0 };
+        self.offset + (self.drift * since as f64).round() as Nanos + step
+    }
 }
 
 impl LogInfo {
@@ -123,6 +155,8 @@ impl LogInfo {
             start: None,
             end: None,
             precomputed: None,
+            map_origin: None,
+            clock_errors: BTreeMap::new(),
         }
     }
 
@@ -153,6 +187,14 @@ impl LogInfo {
         if let Some(precomputed) = &self.precomputed {
             let text = serde_json::to_string(precomputed).expect("texts are plain data");
             record.insert(PRECOMPUTED.into(), text);
+        }
+        if let Some(origin) = &self.map_origin {
+            let text = serde_json::to_string(origin).expect("numbers are plain data");
+            record.insert(MAP_ORIGIN.into(), text);
+        }
+        if !self.clock_errors.is_empty() {
+            let text = serde_json::to_string(&self.clock_errors).expect("numbers are plain data");
+            record.insert(CLOCK_ERRORS.into(), text);
         }
         record
     }
@@ -188,6 +230,15 @@ impl LogInfo {
         check_agents(&agents).map_err(|reason| bad("agents", reason))?;
         let precomputed = record.get(PRECOMPUTED).map(|text| serde_json::from_str(text));
         let precomputed = precomputed.transpose();
+        let map_origin = record.get(MAP_ORIGIN).map(|text| {
+            let read: [f64; 3] = serde_json::from_str(text).map_err(|error| error.to_string())?;
+            MapOrigin::new(read).map(|_| read)
+        });
+        let map_origin = map_origin.transpose().map_err(|reason| bad(MAP_ORIGIN, reason))?;
+        let clock_errors = record.get(CLOCK_ERRORS).map(|text| serde_json::from_str(text));
+        let clock_errors = clock_errors
+            .transpose()
+            .map_err(|error| bad(CLOCK_ERRORS, error.to_string()))?;
         Ok(LogInfo {
             program: get("program")?,
             source: get("source")?,
@@ -198,6 +249,8 @@ impl LogInfo {
             start: time("start")?,
             end: time("end")?,
             precomputed: precomputed.map_err(|error| bad(PRECOMPUTED, error.to_string()))?,
+            map_origin,
+            clock_errors: clock_errors.unwrap_or_default(),
         })
     }
 }
@@ -296,6 +349,31 @@ mod tests {
                 "{wrong}: {error}"
             );
         }
+    }
+
+    #[test]
+    fn where_the_map_is_and_how_clocks_err_is_read_back_or_refused() {
+        let mut info = LogInfo::new("a test", vec![]);
+        info.map_origin = Some([48.1, 11.6, 519.25]);
+        let error = ClockError {
+            offset: 37_000_000,
+            drift: 2e-5,
+            step: -1_000_000,
+            step_at: 5_000_000_000,
+        };
+        info.clock_errors.insert("cav2".into(), error);
+        let mut record = info.to_record();
+        let read = |record: &BTreeMap<String, String>| LogInfo::from_record(Path::new("a.mcap"), record);
+        assert_eq!(read(&record).unwrap(), info);
+        for wrong in ["", "[1, 2]", "[91, 0, 0]", "{}"] {
+            record.insert(MAP_ORIGIN.into(), wrong.into());
+            let error = read(&record).unwrap_err().to_string();
+            assert!(error.contains("metadata `map_origin`"), "{wrong}: {error}");
+        }
+        assert_eq!(
+            [0, 5_000_000_000].map(|since| error.at(since)),
+            [37_000_000, 36_100_000]
+        );
     }
 
     #[test]

@@ -6,6 +6,9 @@
 //! | `/<agent>/sweeps` | `std_msgs/msg/Header` | that a sweep was taken; lets a reader pass over the points |
 //! | `/<agent>/pose` | `geometry_msgs/msg/PoseWithCovarianceStamped` | map from body, as the agent believes; covariance 0: unknown |
 //! | `/<agent>/pose_truth` | the same | map from body, exactly |
+//! | `/<agent>/imu` | `sensor_msgs/msg/Imu` | angular rates and specific forces of its inertial unit |
+//! | `/<agent>/fix` | `sensor_msgs/msg/NavSatFix` | positions of its satellite receiver |
+//! | `/<agent>/wheels` | `geometry_msgs/msg/TwistWithCovarianceStamped` | the speed of its wheels: `twist.linear.x` |
 //! | `/<agent>/detections` | `vision_msgs/msg/Detection3DArray` | detections that were recorded for a sweep, in `<agent>/body` |
 //! | `/<agent>/own_labels` | the same | objects that the agent's own side labelled, in its true body frame |
 //! | `/<agent>/ground_truth` | the same | all objects at a sweep's stamp, in the agent's true body frame; `id` is the track |
@@ -38,6 +41,7 @@ mod findings;
 mod foreign;
 mod frames;
 mod gaps;
+mod geodesy;
 mod info;
 mod level;
 pub mod limits;
@@ -47,6 +51,8 @@ mod map_points;
 mod mcap_file;
 mod mcap_writer;
 mod merge;
+pub mod motion;
+mod motion_faults;
 mod owner;
 pub mod packets;
 pub mod pose;
@@ -71,14 +77,17 @@ pub use describe::{Described, Description, RecordingDescription, TopicInfo, desc
 pub use error::LogError;
 pub use findings::{SWEEPS_OF_TWO_TOPICS, UNDECLARED, WRONG_COVARIANCES, sweeps_of_one_topic};
 pub use gaps::{Bare, Gaps, Lack, Missing, SWEEPS_MISSING, SWEEPS_WITHOUT_DETECTIONS};
-pub use info::{AgentInfo, AgentKind, Levelled, LogInfo, program};
+pub use geodesy::MapOrigin;
+pub use info::{AgentInfo, AgentKind, ClockError, Levelled, LogInfo, program};
 pub use level::{Attitude, Attitudes, LEVEL, level_state, levelled_while_played, need_level};
 pub use log::{Entry, Log, LogReader};
-pub use log_writer::LogWriter;
+pub use log_writer::{ANTENNA_FRAME, AXLE_FRAME, IMU_FRAME, LogWriter, sensor_frame};
 pub use map_points::{TRANSFORMS_DIFFER, TransformsApart};
 pub use mcap_file::{ChannelInfo, McapFile, Messages, RawMessage, Truncation};
 pub use mcap_writer::{ChannelId, ChunkGroup, Failure, McapWriter, Output};
 pub use merge::{Merge, Moved};
+pub use motion::{FixReading, ImuReading, WheelReading};
+pub use motion_faults::MOTION_UNUSABLE;
 pub use owner::{Owner, refuse_foreign};
 pub use packets::SentPacket;
 pub use poses::{MAX_GAP, Standing, is_posed, pose_track};

@@ -1,4 +1,5 @@
 mod entry;
+mod motion;
 mod needs;
 mod reader;
 
@@ -9,6 +10,7 @@ use std::sync::Arc;
 use realo_schemas::{Name, Nanos};
 
 use crate::cdr::CdrReader;
+use crate::geodesy::MapOrigin;
 use crate::info::{CLOCKS, END_RECORD, LEVELLED, LOG_RECORD};
 use crate::mcap_file::{ChannelInfo, McapFile, Truncation};
 use crate::repeats::Repeats;
@@ -73,8 +75,9 @@ impl Log {
         for channels in streams.values().filter(|channels| channels.len() > 1) {
             follow_each_other(&file, channels)?;
         }
+        let origin = info.map_origin.and_then(|origin| MapOrigin::new(origin).ok());
         Ok(Log {
-            context: Arc::new(Context::new(file.clone(), &info.map_frame)),
+            context: Arc::new(Context::new(file.clone(), &info.map_frame, origin)),
             file,
             info,
             truncation,

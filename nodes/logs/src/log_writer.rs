@@ -1,14 +1,16 @@
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
 
+use nalgebra::Isometry3;
 use realo_schemas::geometry::View;
 use realo_schemas::{AgentState, Box3, Boxes, Name, Nanos, PointCloud, body_frame};
 
 use crate::info::{CLOCKS, END_RECORD, LEVELLED, LOG_RECORD, check_agents};
 use crate::mcap_writer::{ChannelId, ChunkGroup, Failure, McapWriter, Output};
+use crate::motion::{FixReading, ImuReading, WheelReading, encode_fix, encode_imu, encode_wheels};
 use crate::{
-    BoxesInfo, Levelled, LogError, LogInfo, PeerClock, Schema, Stream, boxes, cdr::CdrWriter, cloud, pose, views,
+    BoxesInfo, Entry, Levelled, LogError, LogInfo, PeerClock, Schema, Stream, boxes, cdr::CdrWriter, cloud, pose, views,
 };
 
 /// Writes a log.
@@ -25,6 +27,8 @@ pub struct LogWriter {
     clocks: Vec<PeerClock>,
     levelled: BTreeMap<String, Levelled>,
     tf: Option<ChannelId>,
+    /// Frames of sensors that are on `/tf_static`.
+    mounted: BTreeSet<String>,
 }
 
 #[derive(Default)]
@@ -79,6 +83,7 @@ impl LogWriter {
             clocks: Vec::new(),
             levelled: BTreeMap::new(),
             tf: None,
+            mounted: BTreeSet::new(),
         })
     }
 
@@ -140,6 +145,75 @@ impl LogWriter {
         let map = self.map_frame.clone();
         self.write(agent, Stream::PoseTruth, stamp, ready, |out| {
             pose::encode(out, stamp, &map, state)
+        })
+    }
+
+    /// How the frame of an agent's sensor lies in its vehicle frame, on `/tf_static`; once for each frame. Write it before the
+    /// sensor's first message.
+    ///
+    /// # Errors
+    /// As [`LogWriter::cloud`].
+    pub fn mount(&mut self, agent: &str, ready: Nanos, frame: &str, at: &Isometry3<f64>) -> Result<(), LogError> {
+        if !self.mounted.insert(frame.into()) {
+            return Ok(());
+        }
+        let mcap = open(&mut self.mcap);
+        let channel = mcap.channel("/tf_static", Schema::TfMessage, ChunkGroup::Small);
+        let body = body_frame(agent);
+        let encode = |out: &mut Vec<u8>| pose::encode_transform(out, ready, &body, frame, at);
+        let written = mcap.write(channel, ready.max(0) as u64, ready.max(0) as u64, encode);
+        written.map(|_| ()).map_err(|failure| self.failed(failure))
+    }
+
+    /// A sample of the agent's inertial unit, along the axes of the frame [`IMU_FRAME`] of the agent: `/<agent>/imu`.
+    ///
+    /// # Errors
+    /// As [`LogWriter::cloud`].
+    pub fn imu(&mut self, agent: &str, stamp: Nanos, ready: Nanos, reading: &ImuReading) -> Result<(), LogError> {
+        let frame = sensor_frame(agent, IMU_FRAME);
+        self.write(agent, Stream::Imu, stamp, ready, |out| {
+            encode_imu(out, stamp, &frame, reading)
+        })
+    }
+
+    /// What the agent's satellite receiver says, of the origin of its frame [`ANTENNA_FRAME`]: `/<agent>/fix`.
+    ///
+    /// # Errors
+    /// As [`LogWriter::cloud`].
+    pub fn fix(&mut self, agent: &str, stamp: Nanos, ready: Nanos, reading: &FixReading) -> Result<(), LogError> {
+        let frame = sensor_frame(agent, ANTENNA_FRAME);
+        self.write(agent, Stream::Fix, stamp, ready, |out| {
+            encode_fix(out, stamp, &frame, reading)
+        })
+    }
+
+    /// The speed of the agent's wheels, of the origin of its frame [`AXLE_FRAME`]: `/<agent>/wheels`.
+    ///
+    /// # Errors
+    /// As [`LogWriter::cloud`].
+    pub fn wheels(&mut self, agent: &str, stamp: Nanos, ready: Nanos, reading: &WheelReading) -> Result<(), LogError> {
+        let frame = sensor_frame(agent, AXLE_FRAME);
+        self.write(agent, Stream::Wheels, stamp, ready, |out| {
+            encode_wheels(out, stamp, &frame, reading)
+        })
+    }
+
+    /// A message of a motion sensor of another log at other times, with how the sensor is mounted.
+    ///
+    /// # Errors
+    /// As [`LogWriter::cloud`]; bytes that have no header.
+    pub fn copy_motion(&mut self, entry: &Entry, stamp: Nanos, ready: Nanos) -> Result<(), LogError> {
+        let frame = entry.frame()?;
+        // A frame that nothing places is copied as it is.
+        if frame != *body_frame(&entry.agent)
+            && let Ok(mount) = entry.mount()
+        {
+            self.mount(&entry.agent, ready, &frame, &mount)?;
+        }
+        self.write(&entry.agent, entry.stream, stamp, ready, |out| {
+            let begins = out.len();
+            out.extend_from_slice(entry.data());
+            restamp(&mut out[begins..], stamp);
         })
     }
 
@@ -369,6 +443,29 @@ impl LogWriter {
         let channel = *known.channels.entry(stream).or_insert_with(channel);
         let written = mcap.write(channel, ready as u64, stamp as u64, encode);
         written.map(|_| ()).map_err(|failure| self.failed(failure))
+    }
+}
+
+/// Frames of an agent's motion sensors: `<agent>/` and this.
+pub const IMU_FRAME: &str = "imu";
+/// The frame of the antenna.
+pub const ANTENNA_FRAME: &str = "antenna";
+/// The frame of the axle that the wheels carry.
+pub const AXLE_FRAME: &str = "axle";
+
+/// The frame of an agent's sensor.
+pub fn sensor_frame(agent: &str, sensor: &str) -> String {
+    format!("{agent}/{sensor}")
+}
+
+/// Puts a stamp into the header of a message, which begins behind the 4 bytes of CDR.
+fn restamp(payload: &mut [u8], stamp: Nanos) {
+    if let Some([seconds, nanos]) = payload
+        .get_mut(4..12)
+        .and_then(|time| time.as_chunks_mut().0.first_chunk_mut())
+    {
+        *seconds = (stamp.div_euclid(1_000_000_000) as i32).to_le_bytes();
+        *nanos = (stamp.rem_euclid(1_000_000_000) as u32).to_le_bytes();
     }
 }
 

@@ -134,7 +134,7 @@ impl<'a> Merge<'a> {
     /// Whether a message is of the time that is written; by its stamp, which a sweep and its boxes share.
     fn is_within(&self, stream: Stream, stamp: Nanos) -> bool {
         let around = match stream {
-            Stream::Pose | Stream::PoseTruth => POSES_AROUND,
+            Stream::Pose | Stream::PoseTruth | Stream::Imu | Stream::Fix | Stream::Wheels => POSES_AROUND,
             _ => 0,
         };
         let in_it = |[from, until]: [Nanos; 2]| (from - around..=until + around).contains(&stamp);
@@ -228,6 +228,7 @@ impl<'a> Merge<'a> {
             map_frame: first.map_frame.clone(),
             protocol: first.protocol.clone(),
             key_frames: first.key_frames.clone(),
+            map_origin: self.logs.iter().find_map(|log| log.info().map_origin),
             ..LogInfo::new(
                 format!("merged: {}", sources.join("; ")),
                 self.logs.iter().flat_map(|log| log.info().agents.clone()).collect(),
@@ -398,6 +399,7 @@ impl<'a> Part<'a> {
             Stream::Sweeps if self.bare.contains(&entry.agent) => writer.sweep(agent, stamp, ready),
             Stream::Pose => writer.pose(agent, stamp, ready, &entry.pose()?),
             Stream::PoseTruth => writer.pose_truth(agent, stamp, ready, &entry.pose()?),
+            Stream::Imu | Stream::Fix | Stream::Wheels => writer.copy_motion(&entry, stamp, ready),
             Stream::Detections | Stream::GroundTruth | Stream::OwnLabels => {
                 self.boxes.insert((entry.agent.clone(), entry.stream), entry.boxes()?);
                 Ok(())

@@ -19,6 +19,10 @@ impl Repeats {
     /// # Errors
     /// The stamps of its stream start again, or it is there twice.
     pub fn note(&mut self, (stream, agent): (Stream, usize), stamp: Nanos) -> Result<(), String> {
+        // What stamps of motion sensors do is for those to judge who estimate from them.
+        if stream.is_motion() {
+            return Ok(());
+        }
         let newest = match self.0.get_mut(&(stream, agent)) {
             None => {
                 self.0.insert((stream, agent), stamp);
@@ -75,6 +79,7 @@ mod tests {
     fn what_may_repeat_or_overtake_is_fine() {
         assert_eq!(noted(Stream::Pose, &[5 * S, 5 * S, 6 * S]), Ok(()));
         assert_eq!(noted(Stream::Packets, &[5 * S, 5 * S, 3 * S]), Ok(()));
+        assert_eq!(noted(Stream::Imu, &[5 * S, 5 * S, 3 * S]), Ok(()));
         assert_eq!(noted(Stream::Points, &[5 * S, 6 * S, 5 * S + 1]), Ok(()));
         let mut two = Repeats::default();
         assert_eq!(two.note((Stream::Points, 1), 9 * S), Ok(()));

@@ -9,6 +9,12 @@ pub enum Schema {
     Header,
     /// Poses of agents.
     PoseWithCovarianceStamped,
+    /// Samples of inertial units.
+    Imu,
+    /// Positions of satellite receivers.
+    NavSatFix,
+    /// Speeds of wheels.
+    TwistWithCovarianceStamped,
     /// Boxes.
     Detection3DArray,
     /// What `Detection3DArray` cannot say of its boxes.
@@ -28,10 +34,13 @@ pub enum Schema {
 }
 
 impl Schema {
-    const ALL: [Schema; 11] = [
+    const ALL: [Schema; 14] = [
         Schema::PointCloud2,
         Schema::Header,
         Schema::PoseWithCovarianceStamped,
+        Schema::Imu,
+        Schema::NavSatFix,
+        Schema::TwistWithCovarianceStamped,
         Schema::Detection3DArray,
         Schema::BoxesInfo,
         Schema::Views,
@@ -79,6 +88,9 @@ impl Schema {
             Schema::PointCloud2 => "sensor_msgs/PointCloud2",
             Schema::Header => "std_msgs/Header",
             Schema::PoseWithCovarianceStamped => "geometry_msgs/PoseWithCovarianceStamped",
+            Schema::Imu => "sensor_msgs/Imu",
+            Schema::NavSatFix => "sensor_msgs/NavSatFix",
+            Schema::TwistWithCovarianceStamped => "geometry_msgs/TwistWithCovarianceStamped",
             Schema::Detection3DArray => "vision_msgs/Detection3DArray",
             Schema::BoxesInfo => "realo_msgs/BoxesInfo",
             Schema::Views => "realo_msgs/Views",
@@ -124,6 +136,36 @@ const DEFINITIONS: &[(&str, &str)] = &[
     (
         "geometry_msgs/PoseWithCovarianceStamped",
         "std_msgs/Header header\ngeometry_msgs/PoseWithCovariance pose\n",
+    ),
+    (
+        "geometry_msgs/Twist",
+        "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n",
+    ),
+    (
+        "geometry_msgs/TwistWithCovariance",
+        "geometry_msgs/Twist twist\nfloat64[36] covariance\n",
+    ),
+    (
+        "geometry_msgs/TwistWithCovarianceStamped",
+        "std_msgs/Header header\ngeometry_msgs/TwistWithCovariance twist\n",
+    ),
+    (
+        "sensor_msgs/Imu",
+        "std_msgs/Header header\ngeometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n\
+         geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n\
+         geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance\n",
+    ),
+    (
+        "sensor_msgs/NavSatStatus",
+        "int8 STATUS_UNKNOWN=-2\nint8 STATUS_NO_FIX=-1\nint8 STATUS_FIX=0\nint8 STATUS_SBAS_FIX=1\nint8 STATUS_GBAS_FIX=2\n\
+         int8 status\nuint16 SERVICE_UNKNOWN=0\nuint16 SERVICE_GPS=1\nuint16 SERVICE_GLONASS=2\nuint16 SERVICE_COMPASS=4\n\
+         uint16 SERVICE_GALILEO=8\nuint16 service\n",
+    ),
+    (
+        "sensor_msgs/NavSatFix",
+        "std_msgs/Header header\nsensor_msgs/NavSatStatus status\nfloat64 latitude\nfloat64 longitude\nfloat64 altitude\n\
+         float64[9] position_covariance\nuint8 COVARIANCE_TYPE_UNKNOWN=0\nuint8 COVARIANCE_TYPE_APPROXIMATED=1\n\
+         uint8 COVARIANCE_TYPE_DIAGONAL_KNOWN=2\nuint8 COVARIANCE_TYPE_KNOWN=3\nuint8 position_covariance_type\n",
     ),
     (
         "geometry_msgs/Transform",

@@ -36,8 +36,8 @@ pub(crate) struct Stamps(BTreeMap<usize, BTreeSet<Nanos>>);
 impl Stamps {
     /// The stamp that a message of an agent gets.
     pub fn unify(&mut self, stream: Stream, agent: usize, stamp: Nanos) -> Nanos {
-        // Poses and packets are not joined by their stamps.
-        if matches!(stream, Stream::Pose | Stream::PoseTruth | Stream::Packets) {
+        // Poses, packets and motion are not joined by their stamps.
+        if stream.is_motion() || matches!(stream, Stream::Pose | Stream::PoseTruth | Stream::Packets) {
             return stamp;
         }
         let known = self.0.entry(agent).or_default();

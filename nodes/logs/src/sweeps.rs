@@ -8,6 +8,7 @@ use serde::Serialize;
 
 use crate::cloud::{CloudReader, Reading};
 use crate::frames::{Frames, NoWay, Way, bare};
+use crate::geodesy::MapOrigin;
 use crate::stamps::stamp_of;
 use crate::times::TimeRule;
 use crate::tracks::Tracks;
@@ -32,6 +33,8 @@ struct Rules {
 pub(crate) struct Context {
     file: McapFile,
     pub map_frame: String,
+    /// Where the map is on the Earth, where the log says so.
+    pub origin: Option<MapOrigin>,
     frames: OnceLock<Result<Frames, String>>,
     /// How sweeps are read, by channel.
     rules: Mutex<BTreeMap<u16, Rules>>,
@@ -41,10 +44,11 @@ pub(crate) struct Context {
 }
 
 impl Context {
-    pub fn new(file: McapFile, map_frame: &str) -> Self {
+    pub fn new(file: McapFile, map_frame: &str, origin: Option<MapOrigin>) -> Self {
         Context {
             file,
             map_frame: map_frame.into(),
+            origin,
             frames: OnceLock::new(),
             rules: Mutex::default(),
             tracks: Mutex::default(),
@@ -105,7 +109,7 @@ impl Context {
             NoWay::Gap(reason) => NoCloud::Unplaced(reason),
             NoWay::Never(reason) => NoCloud::Unreadable(format!(
                 "its frame is `{frame}`, expected `{to}`, and no transform leads there: {reason}; put the transform from \
-                 `{to}` to `{frame}` on /tf_static (tf2_msgs/msg/TFMessage), or write the points in `{to}`"
+                 `{to}` to `{frame}` on /tf_static (tf2_msgs/msg/TFMessage), or write it in `{to}`"
             )),
         })
     }

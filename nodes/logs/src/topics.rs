@@ -8,6 +8,12 @@ pub enum Stream {
     Pose,
     /// Its true pose.
     PoseTruth,
+    /// Samples of its inertial unit.
+    Imu,
+    /// Positions of its satellite receiver.
+    Fix,
+    /// Speeds of its wheels.
+    Wheels,
     /// That a sweep was taken, and when.
     Sweeps,
     /// The sweep's points.
@@ -36,9 +42,12 @@ pub enum Stream {
 
 impl Stream {
     /// Every stream; at equal log times messages are read in this order.
-    pub const ALL: [Stream; 14] = [
+    pub const ALL: [Stream; 17] = [
         Stream::Pose,
         Stream::PoseTruth,
+        Stream::Imu,
+        Stream::Fix,
+        Stream::Wheels,
         Stream::Sweeps,
         Stream::Points,
         Stream::Detections,
@@ -58,6 +67,9 @@ impl Stream {
         match self {
             Stream::Pose => "pose",
             Stream::PoseTruth => "pose_truth",
+            Stream::Imu => "imu",
+            Stream::Fix => "fix",
+            Stream::Wheels => "wheels",
             Stream::Sweeps => "sweeps",
             Stream::Points => "points",
             Stream::Detections => "detections",
@@ -82,6 +94,9 @@ impl Stream {
     pub fn schema(self) -> Schema {
         match self {
             Stream::Pose | Stream::PoseTruth => Schema::PoseWithCovarianceStamped,
+            Stream::Imu => Schema::Imu,
+            Stream::Fix => Schema::NavSatFix,
+            Stream::Wheels => Schema::TwistWithCovarianceStamped,
             Stream::Sweeps => Schema::Header,
             Stream::Points => Schema::PointCloud2,
             Stream::Detections | Stream::OwnLabels | Stream::GroundTruth => Schema::Detection3DArray,
@@ -90,6 +105,11 @@ impl Stream {
             Stream::GroundTruthMarkers => Schema::MarkerArray,
             Stream::Packets => Schema::SentPacket,
         }
+    }
+
+    /// Whether it is one of an agent's motion sensors, whose messages are joined with no sweep.
+    pub fn is_motion(self) -> bool {
+        matches!(self, Stream::Imu | Stream::Fix | Stream::Wheels)
     }
 
     pub(crate) fn group(self) -> ChunkGroup {

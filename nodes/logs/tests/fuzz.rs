@@ -13,10 +13,11 @@ use mcap::records::op;
 use nalgebra::Isometry3;
 use realo_logs::cdr::CdrWriter;
 use realo_logs::{
-    BoxesInfo, Log, LogError, McapFile, SentPacket, Stream, boxes, cloud, describe_any, packets, pose, views,
+    BoxesInfo, FixReading, ImuReading, Log, LogError, McapFile, SentPacket, Stream, WheelReading, boxes, cloud,
+    describe_any, motion, packets, pose, views,
 };
 use realo_schemas::geometry::View;
-use realo_schemas::{AgentState, Box3, Boxes, Kind, Nanos, PointCloud, PoseStatus};
+use realo_schemas::{AgentState, Box3, Boxes, FixQuality, Kind, Nanos, PointCloud, PoseStatus};
 
 const MAGIC: &[u8] = b"\x89MCAP0\r\n";
 const START: u64 = 1_700_000_000_000_000_000;
@@ -87,6 +88,11 @@ fn read(path: &Path) -> Result<u64, LogError> {
             }
             Stream::GroundTruthMarkers => {}
             Stream::Packets => drop(entry.packet()),
+            Stream::Imu | Stream::Fix | Stream::Wheels => {
+                if let Ok(motion) = entry.motion() {
+                    assert_eq!(motion.fault(), None);
+                }
+            }
         }
         read += 1;
     }
@@ -257,6 +263,20 @@ fn channels() -> Vec<Channel> {
         codec: vec!["plain".into()],
         bytes: (0..99).collect(),
     };
+    let imu = ImuReading {
+        angular_rate: [0.1, 0.2, 0.3],
+        specific_force: [0.0, 0.5, 9.8],
+        variance: Some([1e-6, 1e-4]),
+    };
+    let fix = FixReading {
+        quality: Some(FixQuality::Single),
+        geodetic: [48.1, 11.6, 519.0],
+        covariance: Some([1.0; 9]),
+    };
+    let wheels = WheelReading {
+        velocity: [5.0, 0.0, 0.0],
+        variance: None,
+    };
     let view = View {
         frame_from_camera: Isometry3::translation(0.0, 0.0, 1.5),
         focal: [800.0, 800.0],
@@ -284,6 +304,9 @@ fn channels() -> Vec<Channel> {
                     payloads(&|out, k| boxes::encode_markers(out, stamp(k), &body, "x", &[object()]))
                 }
                 Stream::Packets => payloads(&|out, k| packets::encode(out, stamp(k), &packet)),
+                Stream::Imu => payloads(&|out, k| motion::encode_imu(out, stamp(k), sensor, &imu)),
+                Stream::Fix => payloads(&|out, k| motion::encode_fix(out, stamp(k), &body, &fix)),
+                Stream::Wheels => payloads(&|out, k| motion::encode_wheels(out, stamp(k), &body, &wheels)),
             };
             channels.push(Channel {
                 topic: stream.topic(agent),

@@ -64,6 +64,7 @@ pub const ALL: &[Counter] = &[
     POSES_UNUSABLE,
     WRONG_COVARIANCES,
     POSES_JUMP,
+    MOTION_UNUSABLE,
     NO_POSE,
     TRANSFORMS_DIFFER,
     LEVELLED,
@@ -138,6 +139,13 @@ pub const POSES_JUMP: Counter = Counter::log_fault(
     "poses more than 5 m from the pose before, reached at more than 150 m/s",
     "poses jump faster than any vehicle drives, so that sweeps near them are misplaced",
     "leave out poses without a fix, and smooth the others",
+);
+pub const MOTION_UNUSABLE: Counter = Counter::loss(
+    "motion_unusable",
+    "measurements of IMUs, receivers and wheels in a frame that nothing places, with numbers that no sensor gives, or on the Earth \
+     while the log does not say where its [map](log-format.md#motion) is; not sent",
+    realo_logs::MOTION_UNUSABLE[0],
+    realo_logs::MOTION_UNUSABLE[1],
 );
 pub const TRANSFORMS_DIFFER: Counter = Counter::log_fault(
     "transforms_differ",

@@ -1,4 +1,5 @@
 mod detections;
+mod motion;
 mod poses;
 mod queued;
 mod script;
@@ -19,6 +20,7 @@ use crate::joins::{Joins, PATIENCE};
 use crate::nearest::Nearest;
 use crate::standing::{Held, STEP};
 use crate::truth::TruthJoin;
+use motion::Waiting;
 use queued::Queued;
 use script::Levelling;
 pub use script::Script;
@@ -44,8 +46,8 @@ type Sides<P> = [fn(Header, P) -> Output; 2];
 pub struct Feed {
     script: Script,
     agents: Vec<Name>,
-    /// By rank, how many numbers a pass takes: of poses, and of sweeps and all that is of them.
-    per_pass: Vec<[u64; 2]>,
+    /// By rank, how many numbers a pass takes: of poses, of sweeps and all that is of them, and of motion.
+    per_pass: Vec<[u64; 3]>,
     pass: u32,
     period: Nanos,
     reader: LogReader,
@@ -64,6 +66,8 @@ pub struct Feed {
     stamps: BTreeMap<Name, BTreeSet<Nanos>>,
     gaps: Gaps,
     joins: Joins,
+    /// By rank: what motion sensors measured and no message has yet.
+    motion: BTreeMap<usize, Waiting>,
     /// By rank: units whose pose holds at all times.
     held: BTreeMap<usize, Held>,
     /// By agent: the sweeps for which no detections have come.
@@ -87,7 +91,7 @@ impl Feed {
         let period = played.max(0) + PAUSE + LEAD_IN;
         let levels = script.levels()?;
         let held = script.held(&agents)?;
-        let mut per_pass: Vec<[u64; 2]> = agents.iter().map(|agent| script.per_pass(agent)).collect();
+        let mut per_pass: Vec<[u64; 3]> = agents.iter().map(|agent| script.per_pass(agent)).collect();
         held.keys()
             .for_each(|rank| per_pass[*rank][0] = (period / STEP).unsigned_abs() + 1);
         script.count_truth_faults()?;
@@ -110,6 +114,7 @@ impl Feed {
             stamps: BTreeMap::new(),
             gaps: Gaps::default(),
             joins: Joins::default(),
+            motion: BTreeMap::new(),
             held,
             bare: BTreeMap::new(),
             off: BTreeSet::new(),
@@ -130,8 +135,8 @@ impl Feed {
         self.period
     }
 
-    /// By agent, how many numbers a pass takes: of poses, and of all else.
-    pub fn per_pass(&self) -> BTreeMap<Name, [u64; 2]> {
+    /// By agent, how many numbers a pass takes: of poses, of all else, and of motion.
+    pub fn per_pass(&self) -> BTreeMap<Name, [u64; 3]> {
         self.agents.iter().cloned().zip(self.per_pass.iter().copied()).collect()
     }
 
@@ -164,6 +169,7 @@ impl Feed {
         self.ended = false;
         self.sweeps.clear();
         self.last_positions.clear();
+        self.rewind_motion();
         self.reader = self.script.open()?;
         self.truth = self.script.truth(&self.agents, &self.levels)?;
         let begins = self.begins();
@@ -174,6 +180,7 @@ impl Feed {
 
     fn end(&mut self) -> Result<(), LogError> {
         self.expire(Nanos::MAX);
+        self.send_waiting_motion(Nanos::MAX);
         let lost = self.truth.finish();
         self.count_lost_truth(lost);
         self.count_found_of_truth();
@@ -217,6 +224,7 @@ impl Feed {
         let late = entry.ready().saturating_sub(entry.stamp());
         self.hold(entry.ready());
         self.expire(entry.ready());
+        self.send_waiting_motion(entry.ready());
         let reach = if self.script.offline { LATENCY + PATIENCE } else { 0 };
         self.released_to = self.released_to.max(entry.ready().saturating_sub(reach));
         if self.is_off(entry)? {
@@ -238,6 +246,7 @@ impl Feed {
         let playing = entry.ready() >= self.script.from;
         match entry.stream {
             Stream::Pose | Stream::PoseTruth => self.send_pose(entry),
+            Stream::Imu | Stream::Fix | Stream::Wheels => self.take_motion(entry),
             _ if !playing => {}
             Stream::Points => {
                 let cloud = self.cloud(entry)?;
@@ -275,8 +284,12 @@ impl Feed {
         payload: P,
     ) -> Output {
         let shift = Nanos::from(self.pass) * self.period;
-        let [poses, sweeps] = self.per_pass[rank];
-        let per_pass = if kind == Kind::AgentState { poses } else { sweeps };
+        let [poses, sweeps, motion] = self.per_pass[rank];
+        let per_pass = match kind {
+            Kind::AgentState => poses,
+            Kind::Motion => motion,
+            _ => sweeps,
+        };
         let seq = seq + u64::from(self.pass) * per_pass;
         let (run, agent) = (&self.script.run, &self.agents[rank]);
         let header = Header::origin(run, agent, kind, seq, stamp + shift, release + shift);

@@ -1,7 +1,7 @@
 //! Replays a log into both lanes of a graph: the ego's, and that of the agents that collaborate with it.
 //!
-//! Messages leave in order of their time on the log's line; at equal times poses go first, then clouds, recorded
-//! detections, packets, truth. A thread reads ahead, so that reading a cloud delays no release. A log that was cut is played
+//! Messages leave in order of their time on the log's line; at equal times poses go first, then motion, clouds, recorded
+//! detections, packets, truth. What motion sensors measured goes with the next sweep of their agent, or 0.2 s later without one. A thread reads ahead, so that reading a cloud delays no release. A log that was cut is played
 //! up to the cut and counted as `log_truncated`. Body frames that tilt are levelled by their poses
 //! (`docs/reference/log-format.md`, "Level frames"); those that are level pass as they are. Messages whose stamps are of another clock than
 //! the log's are left out and counted (`clock_off`). A roadside unit that does not move has its pose at all times.
@@ -23,7 +23,7 @@ use std::thread;
 use realo_logs::{Log, LogError, Stream};
 use realo_operator::{Counts, Describe, Error, NoInput, Outputs, Settings, Source};
 use realo_schemas::{
-    AgentState, Boxes, Clock, GroundTruth, Header, Kind, Name, Nanos, Packet, PointCloud, from_seconds,
+    AgentState, Boxes, Clock, GroundTruth, Header, Kind, Motion, Name, Nanos, Packet, PointCloud, from_seconds,
 };
 use rustix::process::{getpriority_process, setpriority_process};
 use serde::{Deserialize, Serialize};
@@ -83,6 +83,19 @@ pub enum Detections {
     Off,
 }
 
+/// What to do about motion sensors.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum MotionSensors {
+    /// Sent where the log has them.
+    #[default]
+    Optional,
+    /// An agent without any is an error.
+    Required,
+    /// Not read.
+    Off,
+}
+
 /// Settings of the player.
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 pub struct Settings {
@@ -119,6 +132,9 @@ pub struct Settings {
     /// Recorded detections: `optional`, `required` or `off`.
     #[setting(default = Detections::Optional, role = "detections")]
     pub detections: Detections,
+    /// IMU, satellite receiver and wheels: `optional`, `required` or `off`.
+    #[setting(default = MotionSensors::Optional)]
+    pub motion: MotionSensors,
     /// Whether the log's packets of the collaborators are played, and their sweeps without points.
     #[setting(role = "precomputed")]
     pub precomputed: bool,
@@ -199,8 +215,8 @@ pub fn next_pass(log: &Path, now: Nanos) -> Result<[Nanos; 2], Error> {
 struct Wall {
     slots: Slots,
     skew: Nanos,
-    /// By agent, how many numbers a slot takes, of poses and of all else: numbers go on where the player starts again.
-    per_pass: BTreeMap<Name, [u64; 2]>,
+    /// By agent, how many numbers a slot takes, of poses, all else and motion: numbers go on where the player starts again.
+    per_pass: BTreeMap<Name, [u64; 3]>,
     /// Known with the first message: how far the log is moved, and by how many passes.
     moved: Option<(Nanos, u64)>,
 }
@@ -219,8 +235,12 @@ impl Wall {
         let header = output.header_mut();
         header.stamp += shift;
         header.ready += shift;
-        let [poses, others] = self.per_pass.get(&header.agent).copied().unwrap_or_default();
-        let per_pass = if header.kind == Kind::AgentState { poses } else { others };
+        let [poses, others, motion] = self.per_pass.get(&header.agent).copied().unwrap_or_default();
+        let per_pass = match header.kind {
+            Kind::AgentState => poses,
+            Kind::Motion => motion,
+            _ => others,
+        };
         header.seq += passes * per_pass;
         (time + shift, output)
     }
@@ -260,6 +280,12 @@ pub enum Output {
     /// What the collaborators give to the link, if it is precomputed.
     #[port(of(Others))]
     Packets(Header, Packet),
+    /// What the ego's motion sensors measured.
+    #[port(of(Ego))]
+    EgoMotion(Header, Motion),
+    /// What the collaborators' motion sensors measured.
+    #[port(of(Others))]
+    Motion(Header, Motion),
 }
 
 impl Output {
@@ -271,7 +297,9 @@ impl Output {
         | Output::Poses(header, _)
         | Output::Recorded(header, _)
         | Output::Truth(header, _)
-        | Output::Packets(header, _)) = self;
+        | Output::Packets(header, _)
+        | Output::EgoMotion(header, _)
+        | Output::Motion(header, _)) = self;
         header
     }
 
@@ -280,12 +308,14 @@ impl Output {
         match self {
             Output::EgoPoses(..) => 0,
             Output::Poses(..) => 1,
-            Output::EgoClouds(..) => 2,
-            Output::Clouds(..) => 3,
-            Output::EgoRecorded(..) => 4,
-            Output::Recorded(..) => 5,
-            Output::Packets(..) => 6,
-            Output::Truth(..) => 7,
+            Output::EgoMotion(..) => 2,
+            Output::Motion(..) => 3,
+            Output::EgoClouds(..) => 4,
+            Output::Clouds(..) => 5,
+            Output::EgoRecorded(..) => 6,
+            Output::Recorded(..) => 7,
+            Output::Packets(..) => 8,
+            Output::Truth(..) => 9,
         }
     }
 }
@@ -370,6 +400,7 @@ fn feed(settings: &Settings, counters: &Counters) -> Result<(Feed, PlannedRun), 
         true_poses: settings.pose == PoseSource::True,
         points: settings.points,
         detections: settings.detections != Detections::Off,
+        motion: settings.motion != MotionSensors::Off,
         precomputed: settings.precomputed,
         fused_at_most: settings.fused_at_most,
         alone: !settings.agent.is_empty(),
@@ -419,6 +450,12 @@ fn need_topics(log: &Log, cast: &PlannedRun, settings: &Settings) -> Result<(), 
         }
         if settings.detections == Detections::Required {
             log.need(agent, Stream::Detections)?;
+        }
+        let has_motion = [Stream::Imu, Stream::Fix, Stream::Wheels]
+            .iter()
+            .any(|stream| log.has(agent, *stream));
+        if settings.motion == MotionSensors::Required && !has_motion {
+            log.need(agent, Stream::Fix)?;
         }
     }
     Ok(())

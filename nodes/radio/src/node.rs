@@ -178,7 +178,7 @@ impl Gateway for Radio {
         | Input::LastFallback(header, packet)) = input;
         let Some(network) = &self.network else { return Ok(()) };
         network.set_time(out.now());
-        if matches!(header.kind, Kind::Truth | Kind::Report) {
+        if matches!(header.kind, Kind::Truth | Kind::Report | Kind::Motion) {
             return Err(RadioError::Kind(header.kind).into());
         }
         let bytes = body::to_bytes(&packet, out.now())?;

@@ -140,6 +140,7 @@ fn info(settings: &Settings) -> Result<LogInfo, Error> {
         map_frame: known.map_frame.clone(),
         protocol: known.protocol.clone(),
         key_frames: known.key_frames.clone(),
+        map_origin: known.map_origin,
         ..LogInfo::new(
             format!("{source}, played from {}", known.source),
             known.agent(agent).cloned().into_iter().collect(),

@@ -1,5 +1,7 @@
 //! Where each agent is at each sweep.
 //!
+//! What motion sensors measured comes on an optional port; it is checked and counted, by agent.
+//!
 //! Nothing is estimated yet: the pose that the player took from the log passes, recorded or true. An estimator will
 //! take the same ports: the sweep, and the state as its prior.
 //!
@@ -11,6 +13,7 @@
 //! are, as V2X-Real does. A true pose with noise is a recorded one.
 
 mod mersenne;
+mod motion;
 mod noise;
 mod operator;
 

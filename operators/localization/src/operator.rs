@@ -1,7 +1,8 @@
-use realo_operator::{Describe, Error, Inputs, Operator, Outputs, Settings, StreamKey};
-use realo_schemas::{AgentState, Header, Kind, PointCloud, Pose, PoseStatus};
+use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings, StreamKey};
+use realo_schemas::{AgentState, Header, Kind, Motion, PointCloud, Pose, PoseStatus};
 use serde::{Deserialize, Serialize};
 
+use crate::motion::{GNSS_FIXES, IMU_SAMPLES, MOTION_BACKWARDS, Order, WHEEL_SPEEDS};
 use crate::{PoseError, PoseNoise};
 
 /// Where poses come from.
@@ -124,16 +125,21 @@ pub enum LocalizationError {
 
 /// Says where each agent is at each sweep: the pose that the log gives, with noise if asked for.
 #[derive(Describe)]
+#[stage(counters(IMU_SAMPLES, GNSS_FIXES, WHEEL_SPEEDS, MOTION_BACKWARDS))]
 pub struct Localization {
     source: Source,
     noise: Option<Noise>,
     /// The sweep whose state comes next.
     sweep: Option<(Header, PointCloud)>,
+    order: Order,
 }
 
 /// What comes in.
 #[derive(Debug, Inputs)]
 pub enum Input {
+    /// What motion sensors measured since the message before; counted, and not used yet.
+    #[port(optional)]
+    Motion(Header, Motion),
     /// Sweeps in the body frame at their stamp.
     #[port(latest, joined("sweep"))]
     Clouds(Header, PointCloud),
@@ -157,11 +163,13 @@ impl Operator for Localization {
             noise: noise_of(&settings)?,
             source: settings.source,
             sweep: None,
+            order: Order::default(),
         })
     }
 
     fn on_input(&mut self, input: Input, out: &mut Outputs<Output>) -> Result<(), Error> {
         match input {
+            Input::Motion(header, motion) => self.order.count(&header, &motion, out),
             Input::Clouds(header, cloud) => self.sweep = Some((header, cloud)),
             Input::States(state_header, prior) => {
                 let sweep = self.sweep.take();

@@ -1,6 +1,6 @@
 use realo_schemas::{
-    AgentState, Boxes, FeatureMap, GroundTruth, Header, Message, Packet, PayloadType, PointCloud, Report, Selection,
-    UnexpectedPayload,
+    AgentState, Boxes, FeatureMap, GroundTruth, Header, Message, Motion, Packet, PayloadType, PointCloud, Report,
+    Selection, UnexpectedPayload,
 };
 
 use crate::{Port, PortId};
@@ -106,7 +106,8 @@ payloads!(
     Selection,
     Report,
     Boxes,
-    GroundTruth
+    GroundTruth,
+    Motion
 );
 
 #[cfg(test)]

@@ -281,7 +281,7 @@ impl Decoder {
             }
             Kind::Boxes => boxes::read(&mut bytes)?.into(),
             Kind::AgentState => agent_state::read(&mut bytes)?.into(),
-            Kind::Truth | Kind::Report => {
+            Kind::Truth | Kind::Report | Kind::Motion => {
                 let found = envelope.kind.to_string();
                 return Err(DecodeError::Value {
                     field: "content",

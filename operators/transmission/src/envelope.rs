@@ -29,7 +29,7 @@ fn code_of(kind: Kind) -> Option<u8> {
         Kind::Features => Some(2),
         Kind::Boxes => Some(3),
         Kind::AgentState => Some(4),
-        Kind::Truth | Kind::Report => None,
+        Kind::Truth | Kind::Report | Kind::Motion => None,
     }
 }
 

@@ -262,6 +262,7 @@ impl LevelCopy {
                 let state = leveller.state(entry.pose()?);
                 self.writer.pose_truth(agent, stamp, ready, &state)?;
             }
+            Stream::Imu | Stream::Fix | Stream::Wheels => self.writer.copy_motion(entry, stamp, ready)?,
             Stream::Detections if self.without_info.contains(&entry.agent) => {
                 let mut boxes = entry.boxes()?;
                 transform_boxes(&leveller.at(stamp, false).map_err(bad)?, &mut boxes.0);

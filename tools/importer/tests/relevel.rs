@@ -195,7 +195,11 @@ fn worst(path: &Path) -> [f64; 3] {
     for (stream, count) in &counts {
         assert_eq!(*count, if *stream == Stream::Pose { 60 } else { 5 }, "{stream:?}");
     }
-    assert_eq!(counts.len(), Stream::ALL.len() - 2, "all but packets and true poses");
+    assert_eq!(
+        counts.len(),
+        Stream::ALL.len() - 5,
+        "all but packets, true poses and motion"
+    );
     [points_off, boxes_off, poses_off]
 }
 

@@ -6,14 +6,16 @@ use std::sync::Arc;
 use clap::builder::{PossibleValuesParser, TypedValueParser};
 use eyre::Result;
 use realo_cli::{Force, Outcome, Output, Progress, one_of, unfinished};
-use realo_simulator::{Options, Phase, Scenario, Sensor, Weather, fleet, write_log};
+use realo_logs::ClockError;
+use realo_schemas::Nanos;
+use realo_simulator::{MotionUnit, Options, Phase, Scenario, Sensor, Weather, fleet, write_log};
 
 use crate::statistics;
 
 /// Simulates a place, its traffic and the agents that record it
 #[derive(clap::Args)]
 pub struct Args {
-    /// Which place; mixed: one of all, as the place's number says
+    /// Which place; mixed: one of all but loop, as the place's number says
     #[arg(long, value_parser = scenarios(), default_value = "intersection")]
     scenario: Scenario,
     /// Heavy traffic: at least 120 road users, or as many as there is room for
@@ -25,6 +27,18 @@ pub struct Args {
     /// Sweeps start together (locked) or, of four agents, at least 15 ms apart (spread)
     #[arg(long, value_parser = one_of(Phase::ALL), default_value = "locked")]
     phase: Phase,
+    /// When an agent's first sweep starts, ms after the log's beginning, in the place of what --phase says; repeatable
+    #[arg(long, value_name = "AGENT=MS", value_parser = sweep_phase)]
+    sweep_phase: Vec<(String, f64)>,
+    /// How wrong an agent's clock is: offset at the beginning, drift, and a jump at a time; repeatable
+    #[arg(long, value_name = "AGENT=OFFSET_MS[,DRIFT_PPM[,STEP_MS@S]]", value_parser = clock_error)]
+    clock_error: Vec<(String, ClockError)>,
+    /// Motion sensors: IMU, satellite receiver and wheels of each vehicle, receivers of roadside units
+    #[arg(long, value_name = "UNIT", value_parser = one_of(MotionUnit::ALL))]
+    inertial: Option<MotionUnit>,
+    /// The day: another one has other traffic, parked cars and foliage in the same place
+    #[arg(long, value_name = "N", default_value_t = 0)]
+    day: u64,
     /// Fixes traffic and noise; 0–799 train, 800–899 validate, 900–999 test
     #[arg(long, required_unless_present = "statistics")]
     seed: Option<u64>,
@@ -86,7 +100,7 @@ pub struct Args {
 
 /// The scenarios by their names.
 fn scenarios() -> impl TypedValueParser<Value = Scenario> {
-    let names = Scenario::PLACES.map(Scenario::name).into_iter();
+    let names = Scenario::ALL.map(Scenario::name).into_iter();
     PossibleValuesParser::new(names.chain([Scenario::Mixed.name()])).try_map(|name| Scenario::from_name(&name))
 }
 
@@ -121,9 +135,56 @@ impl Args {
             clouds: !self.no_clouds,
             vehicle_sensors: sensors(&self.vehicle_sensor)?,
             roadside_sensors: sensors(&self.roadside_sensor)?,
+            day: self.day,
+            inertial: self.inertial,
+            clock_errors: self.clock_error.iter().cloned().collect(),
+            sweep_phase_ms: self.sweep_phase.iter().cloned().collect(),
             ..Options::default()
         })
     }
+}
+
+/// A name and what follows its `=`.
+fn named<'a>(text: &'a str, form: &str) -> Result<(String, &'a str), String> {
+    let (agent, rest) = text
+        .split_once('=')
+        .ok_or_else(|| format!("expected {form}, found no `=`"))?;
+    Ok((agent.into(), rest))
+}
+
+fn number(text: &str, what: &str) -> Result<f64, String> {
+    let number: Option<f64> = text.trim().parse().ok();
+    number
+        .filter(|number| number.is_finite())
+        .ok_or_else(|| format!("expected a number for {what}, found `{text}`"))
+}
+
+fn sweep_phase(text: &str) -> Result<(String, f64), String> {
+    let (agent, phase) = named(text, "AGENT=MS")?;
+    Ok((agent, number(phase, "MS")?))
+}
+
+fn clock_error(text: &str) -> Result<(String, ClockError), String> {
+    const FORM: &str = "AGENT=OFFSET_MS[,DRIFT_PPM[,STEP_MS@S]]";
+    let (agent, rest) = named(text, FORM)?;
+    let parts: Vec<&str> = rest.split(',').collect();
+    let nanos = |ms: f64| (ms * 1e6).round() as Nanos;
+    let mut error = ClockError::default();
+    match parts[..] {
+        [offset] | [offset, _] | [offset, _, _] => error.offset = nanos(number(offset, "OFFSET_MS")?),
+        _ => return Err(format!("expected {FORM}, found {} parts behind `=`", parts.len())),
+    }
+    if let Some(drift) = parts.get(1) {
+        error.drift = 1e-6 * number(drift, "DRIFT_PPM")?;
+    }
+    if let Some(step) = parts.get(2) {
+        let (step, at) = step
+            .split_once('@')
+            .ok_or_else(|| format!("expected STEP_MS@S, found `{step}`"))?;
+        error.step = nanos(number(step, "STEP_MS")?);
+        error.step_at = nanos(1e3 * number(at, "S")?);
+    }
+    Ok((agent, error))
 }
 
 fn sensors(names: &[String]) -> Result<Vec<Arc<Sensor>>> {
@@ -156,4 +217,34 @@ pub fn write(options: &Options, output: &Path) -> Result<()> {
     unfinished::done(output);
     progress.finish();
     Ok(())
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn errors_of_clocks_are_read_or_refused_with_the_form() {
+        let read = |text: &str| {
+            clock_error(text).map(|(agent, error)| (agent, error.offset, error.drift, error.step, error.step_at))
+        };
+        assert_eq!(read("cav1=-30"), Ok(("cav1".into(), -30_000_000, 0.0, 0, 0)));
+        assert_eq!(read("rsu1=37000,20"), Ok(("rsu1".into(), 37_000_000_000, 2e-5, 0, 0)));
+        assert_eq!(
+            read("cav2=0,0,-1000@4.5"),
+            Ok(("cav2".into(), 0, 0.0, -1_000_000_000, 4_500_000_000))
+        );
+        for (wrong, words) in [
+            ("cav1", "no `=`"),
+            ("cav1=fast", "OFFSET_MS, found `fast`"),
+            ("cav1=1,inf", "DRIFT_PPM"),
+            ("cav1=1,2,3", "STEP_MS@S"),
+            ("cav1=1,2,3@4,5", "4 parts"),
+        ] {
+            let error = read(wrong).unwrap_err();
+            assert!(error.contains(words), "{wrong}: {error}");
+        }
+        assert_eq!(sweep_phase("cav1=12.5"), Ok(("cav1".into(), 12.5)));
+        assert!(sweep_phase("cav1=x").unwrap_err().contains("MS, found `x`"));
+    }
 }

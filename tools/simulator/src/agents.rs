@@ -6,7 +6,7 @@ mod sway;
 use std::sync::Arc;
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
-use realo_schemas::{AgentState, Name, Nanos, PoseStatus, to_seconds};
+use realo_schemas::{AgentState, Name, Nanos, PoseStatus, from_seconds, to_seconds};
 
 use crate::options::{EPOCH, Error, Options, SWEEP_PERIOD, agent_of};
 use crate::path::{Pose2, State};
@@ -136,10 +136,14 @@ impl Agent {
                 (true, _) => 100 + number,
                 (false, _) => 200 + number,
             };
-            let phase = phases
-                .get(stream)
-                .copied()
-                .unwrap_or_else(|| late_phase(options, stream));
+            let own = options.sweep_phase_ms.get(&name);
+            let drawn = || {
+                phases
+                    .get(stream)
+                    .copied()
+                    .unwrap_or_else(|| late_phase(options, stream))
+            };
+            let phase = own.map_or_else(drawn, |ms| from_seconds(1e-3 * ms));
             Ok(Agent::new(options, (&name, number, stream), phase, carrier, traffic))
         };
         wanted.into_iter().map(agent).collect()
@@ -238,6 +242,16 @@ impl Agent {
             turn_rate: state.turn_rate,
             slope: self.leaning(user.footing(place, &state).slope, user, &state, t),
         }
+    }
+
+    /// How fast the carrier rolls ahead `t` seconds after [`EPOCH`], along the road, m/s; 0 of who stands on a pole.
+    pub fn speed(&self, place: &Scenery, traffic: &Traffic, t: f64) -> f64 {
+        let user = self.user.map(|user| &traffic.users[user]);
+        user.and_then(|user| Some((user, user.course.at(t)?)))
+            .map_or(0.0, |(user, state)| {
+                let [along, _] = user.footing(place, &state).slope;
+                state.speed * (1.0 + along * along).sqrt()
+            })
     }
 
     /// The slope of the carrier on its springs: the ground's, and what braking, bends and the road's roughness add.

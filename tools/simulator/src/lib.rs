@@ -10,8 +10,8 @@
 //! # Ok::<(), realo_simulator::Error>(())
 //! ```
 //!
-//! **The world.** Twelve places ([`Scenario`]): two whose roads are straight and cross squarely between houses
-//! (`intersection`, `corridor`), and ten whose roads run at any angle, bent, on slopes of up to 3 %, most of them open
+//! **The world.** Thirteen places ([`Scenario`]): two whose roads are straight and cross squarely between houses
+//! (`intersection`, `corridor`), and eleven whose roads run at any angle, bent, on slopes of up to 3 %, most of them open
 //! beside the road. Each is drawn anew for every number: angles, radii, lanes, lights, bays, houses. Lanes, cycle lanes,
 //! parking bays, kerbs, crowned roads, buildings, poles, trees; ground that is not quite flat. Vehicles follow each
 //! other (Intelligent Driver Model), change lanes, obey the lights and each other's right of way; walkers keep to
@@ -29,6 +29,9 @@
 //! have no width: there are no mixed returns at edges. Rings are numbered from the lowest beam up. Other sensors come
 //! by name or from files ([`Sensor::named`]), fleets have up to sixteen agents ([`fleet`]).
 //!
+//! **Motion.** An inertial unit, a satellite receiver and wheels measure each vehicle's true motion with the errors of a named
+//! unit ([`MotionUnit`]); roadside units have the receiver. Clocks of agents may be wrong, and drives may be on another day.
+//!
 //! **Frames and time.** Body frames are gravity-aligned with z = 0 on the ground below the sensor; x is forward, for
 //! roadside units along the main road. The place is turned in `map` by an angle of its own. Logs start at [`EPOCH`];
 //! a stamp is the middle of its sweep.
@@ -45,6 +48,7 @@ mod bench;
 mod bodies;
 mod cast;
 mod detections;
+mod inertial;
 mod log;
 mod options;
 mod path;
@@ -60,6 +64,7 @@ mod traffic;
 
 pub use agents::{AgentInfo, AgentKind};
 pub use bench::{Bench, PlaceBench, SensorBench, bench, points_per_second};
+pub use inertial::{FIX_PERIOD, MAP_ORIGIN, MotionRecord, MotionUnit, Timed, WHEEL_PERIOD};
 pub use log::{WriteError, Written, write_log};
 pub use options::{
     AGENTS, EPOCH, Error, MOST_AGENTS, Options, POSE_PERIOD, Phase, PoseNoise, SWEEP_PERIOD, Scenario, Weather, fleet,

@@ -3,10 +3,13 @@
 use std::collections::VecDeque;
 use std::path::{Path, PathBuf};
 
-use realo_logs::{AgentInfo, AgentKind, LogError, LogInfo, LogWriter};
-use realo_schemas::Nanos;
+use realo_logs::{
+    ANTENNA_FRAME, AXLE_FRAME, AgentInfo, AgentKind, FixReading, IMU_FRAME, ImuReading, LogError, LogInfo, LogWriter,
+    WheelReading, sensor_frame,
+};
+use realo_schemas::{Name, Nanos};
 
-use crate::{Error, Options, PoseSample, Scenario, Simulation, Sweep};
+use crate::{EPOCH, Error, MAP_ORIGIN, MotionRecord, Options, PoseSample, SWEEP_PERIOD, Scenario, Simulation, Sweep};
 
 /// Road users that heavy traffic has where there is room.
 const DENSE: usize = 120;
@@ -63,18 +66,95 @@ pub fn write_log(options: &Options, output: &Path, mut far: impl FnMut(Written))
             )
         })
         .collect();
+    let mut motion = MotionLog::begin(&mut writer, &simulation)?;
     for (before, sweep) in simulation.sweeps().enumerate() {
-        write_poses(&mut writer, &mut poses, sweep.ready)?;
-        write_sweep(&mut writer, &sweep, options.clouds)?;
+        write_poses(&mut writer, options, &mut poses, sweep.ready)?;
+        motion.write(&mut writer, options, sweep.ready)?;
+        write_sweep(&mut writer, options, &sweep)?;
         far(Written { sweeps: before + 1, of });
     }
-    write_poses(&mut writer, &mut poses, Nanos::MAX)?;
+    write_poses(&mut writer, options, &mut poses, Nanos::MAX)?;
+    motion.write(&mut writer, options, Nanos::MAX)?;
     writer.finish()?;
     Ok(())
 }
 
+/// What an agent's motion sensors say, in order of arrival.
+enum Reading {
+    Imu(ImuReading),
+    Fix(FixReading),
+    Wheels(WheelReading),
+}
+
+/// A reading that waits: when it arrives, its agent, its true time.
+type Waiting = (Nanos, Name, Nanos, Reading);
+
+/// What the motion sensors of all agents say and is not written yet.
+struct MotionLog(VecDeque<Waiting>);
+
+impl MotionLog {
+    /// Writes how the sensors are mounted.
+    fn begin(writer: &mut LogWriter, simulation: &Simulation) -> Result<Self, LogError> {
+        let mut all: Vec<Waiting> = Vec::new();
+        for agent in simulation.agents() {
+            let Some(record) = simulation.motion(&agent.name) else {
+                continue;
+            };
+            let MotionRecord {
+                imu,
+                fixes,
+                wheels,
+                imu_mount,
+                antenna,
+                axle,
+            } = record;
+            let mounts = [
+                (IMU_FRAME, imu_mount, !imu.is_empty()),
+                (ANTENNA_FRAME, antenna, true),
+                (AXLE_FRAME, axle, !wheels.is_empty()),
+            ];
+            for (sensor, at, _) in mounts.iter().filter(|(.., is_there)| *is_there) {
+                let begins = EPOCH - SWEEP_PERIOD;
+                writer.mount(&agent.name, begins, &sensor_frame(&agent.name, sensor), at)?;
+            }
+            let waiting = |(stamp, ready, reading)| (ready, agent.name.clone(), stamp, reading);
+            all.extend(
+                imu.into_iter()
+                    .map(|(stamp, ready, r)| waiting((stamp, ready, Reading::Imu(r)))),
+            );
+            all.extend(
+                fixes
+                    .into_iter()
+                    .map(|(stamp, ready, r)| waiting((stamp, ready, Reading::Fix(r)))),
+            );
+            all.extend(
+                wheels
+                    .into_iter()
+                    .map(|(stamp, ready, r)| waiting((stamp, ready, Reading::Wheels(r)))),
+            );
+        }
+        // Stable: one agent's sensors keep their order.
+        all.sort_by_key(|(ready, ..)| *ready);
+        Ok(MotionLog(all.into()))
+    }
+
+    /// Writes what has arrived until a time.
+    fn write(&mut self, writer: &mut LogWriter, options: &Options, until: Nanos) -> Result<(), LogError> {
+        while let Some((ready, agent, time, reading)) = self.0.pop_front_if(|(ready, ..)| *ready <= until) {
+            let stamp = options.stamp_of(&agent, time);
+            match reading {
+                Reading::Imu(reading) => writer.imu(&agent, stamp, ready, &reading)?,
+                Reading::Fix(reading) => writer.fix(&agent, stamp, ready, &reading)?,
+                Reading::Wheels(reading) => writer.wheels(&agent, stamp, ready, &reading)?,
+            }
+        }
+        Ok(())
+    }
+}
+
 fn write_poses(
     writer: &mut LogWriter,
+    options: &Options,
     poses: &mut [(String, VecDeque<PoseSample>)],
     until: Nanos,
 ) -> Result<(), LogError> {
@@ -86,14 +166,16 @@ fn write_poses(
             return Ok(());
         };
         let Some(pose) = queue.pop_front() else { return Ok(()) };
-        writer.pose(agent, pose.stamp, pose.stamp, &pose.believed)?;
-        writer.pose_truth(agent, pose.stamp, pose.stamp, &pose.truth)?;
+        let stamp = options.stamp_of(agent, pose.stamp);
+        writer.pose(agent, stamp, pose.stamp, &pose.believed)?;
+        writer.pose_truth(agent, stamp, pose.stamp, &pose.truth)?;
     }
 }
 
-fn write_sweep(writer: &mut LogWriter, sweep: &Sweep, clouds: bool) -> Result<(), LogError> {
-    let (agent, stamp, ready) = (&*sweep.agent, sweep.stamp, sweep.ready);
-    if clouds {
+fn write_sweep(writer: &mut LogWriter, options: &Options, sweep: &Sweep) -> Result<(), LogError> {
+    let (agent, ready) = (&*sweep.agent, sweep.ready);
+    let stamp = options.stamp_of(agent, sweep.stamp);
+    if options.clouds {
         writer.cloud(agent, stamp, ready, &sweep.cloud)?;
     } else {
         writer.sweep(agent, stamp, ready)?;
@@ -127,16 +209,26 @@ fn log_info(simulation: &Simulation) -> LogInfo {
         (found, _) => format!(", {found} road users"),
     };
     let source = format!(
-        "realo-lab simulate: {}{}, place number {}, seed {}, {} s, {}{}",
+        "realo-lab simulate: {}{}, place number {}, seed {}{}, {} s, {}{}{}",
         place,
         if options.dense { ", dense" } else { "" },
         simulation.place(),
         options.seed,
+        if options.day > 0 {
+            format!(", day {}", options.day)
+        } else {
+            String::new()
+        },
         options.seconds,
         options.phase.about(),
         users,
+        options
+            .inertial
+            .map_or_else(String::new, |unit| format!(", {} motion sensors", unit.name())),
     );
     let mut info = LogInfo::new(source.to_lowercase(), agents.collect());
     info.key_frames = format!("{} a second", options.key_hz);
+    info.map_origin = options.inertial.map(|_| MAP_ORIGIN);
+    info.clock_errors = options.clock_errors.clone();
     info
 }

@@ -4,10 +4,14 @@ mod error;
 mod pose_noise;
 mod scenario;
 
+use std::collections::BTreeMap;
 use std::sync::Arc;
 
-use realo_schemas::Nanos;
+use realo_logs::ClockError;
+use realo_schemas::{Nanos, from_seconds, to_seconds};
 
+use crate::inertial::MotionUnit;
+use crate::random::Stream;
 use crate::sensor::Sensor;
 pub use error::Error;
 use error::require;
@@ -16,6 +20,9 @@ pub use scenario::Scenario;
 
 /// Log time at which every simulation starts: 2026-01-01T00:00:00Z.
 pub const EPOCH: Nanos = 1_767_225_600_000_000_000;
+
+/// Logs have no later stamps, ns: 2038.
+const LAST_STAMP: Nanos = 2_147_483_000 * 1_000_000_000;
 
 /// Time from one sweep's start to the next, ns.
 pub const SWEEP_PERIOD: Nanos = 100_000_000;
@@ -146,6 +153,17 @@ pub struct Options {
     pub weather: Weather,
     /// Whether road users on a grid too have the bodies that they have elsewhere: rounded, inside their boxes.
     pub rounded_bodies: bool,
+    /// The day of the drive: another one has other traffic, parked cars and noise, and foliage that was cut or grew, in the
+    /// same place. 0 is the first.
+    pub day: u64,
+    /// What measures the agents' motion; roadside units have its receiver alone. `None`: nothing does.
+    pub inertial: Option<MotionUnit>,
+    /// Motion sensors without errors; outages are there all the same. For tests.
+    pub exact_motion: bool,
+    /// How wrong the clocks of agents are, by agent: all their stamps carry it, times at which messages are there do not.
+    pub clock_errors: BTreeMap<String, ClockError>,
+    /// When the first sweep of an agent starts, ms after [`EPOCH`], in the place of what `phase` says.
+    pub sweep_phase_ms: BTreeMap<String, f64>,
 }
 
 impl Options {
@@ -184,6 +202,11 @@ impl Default for Options {
             roadside_sensors: Vec::new(),
             weather: Weather::default(),
             rounded_bodies: false,
+            day: 0,
+            inertial: None,
+            exact_motion: false,
+            clock_errors: BTreeMap::new(),
+            sweep_phase_ms: BTreeMap::new(),
         }
     }
 }
@@ -192,6 +215,26 @@ impl Options {
     /// Sweeps of each agent.
     pub fn sweeps_per_agent(&self) -> u64 {
         (self.seconds * 10.0).round() as u64
+    }
+
+    /// The options by which everything is drawn: those of another day have another seed, and the same place.
+    pub(crate) fn of_day(&self) -> Options {
+        let place = Some(self.place.unwrap_or(self.seed));
+        let seed = match self.day {
+            0 => self.seed,
+            day => Stream::new(self.seed, "day", day).bits(),
+        };
+        Options {
+            place,
+            seed,
+            ..self.clone()
+        }
+    }
+
+    /// What the stamps of an agent say at a true time, ns.
+    pub fn stamp_of(&self, agent: &str, time: Nanos) -> Nanos {
+        let error = self.clock_errors.get(agent);
+        time + error.map_or(0, |error| error.at(time - EPOCH))
     }
 
     /// Whether a sweep of an agent is scored.
@@ -241,7 +284,48 @@ impl Options {
         let sees = (5.0..=1e6).contains(&visibility);
         require(sees, "weather.visibility_m", visibility, "metres within [5, 1e6]")?;
         self.pose_noise.check()?;
-        self.check_agents()
+        self.check_agents()?;
+        self.check_times()
+    }
+
+    fn check_times(&self) -> Result<(), Error> {
+        let known = |field: &'static str, agent: &String| match self.agents.contains(agent) {
+            true => Ok(()),
+            false => Err(Error::NotAnAgent {
+                field,
+                agent: agent.clone(),
+                agents: self.agents.join(", "),
+            }),
+        };
+        for (agent, phase) in &self.sweep_phase_ms {
+            known("sweep_phase_ms", agent)?;
+            let fits = (0.0..100.0).contains(phase);
+            require(fits, "sweep_phase_ms", *phase, "ms within [0, 100)")?;
+        }
+        for (agent, error) in &self.clock_errors {
+            known("clock_errors", agent)?;
+            require(
+                error.drift.abs() <= 0.01,
+                "clock_errors.drift",
+                error.drift,
+                "s/s within ±0.01",
+            )?;
+            // What a log can hold: seconds of 31 bits since 1970.
+            let latest = from_seconds(self.seconds) + 10 * SWEEP_PERIOD;
+            let times = [0, error.step_at, latest].map(|since| since.clamp(0, latest));
+            for since in times {
+                let stamp = EPOCH.saturating_add(error.at(since)) - SWEEP_PERIOD;
+                let fits = (0..LAST_STAMP).contains(&stamp);
+                let offset = 1e3 * to_seconds(error.offset);
+                require(
+                    fits,
+                    "clock_errors.offset",
+                    offset,
+                    "ms that keep stamps within 1970 to 2038",
+                )?;
+            }
+        }
+        Ok(())
     }
 
     fn check_agents(&self) -> Result<(), Error> {
@@ -272,7 +356,7 @@ mod tests {
     #[test]
     fn refuses_by_name_what_it_cannot_do() {
         type Case = (fn(&mut Options), &'static str);
-        let cases: [Case; 13] = [
+        let cases: [Case; 17] = [
             (|o| o.seconds = f64::NAN, "seconds"),
             (|o| o.seconds = 0.0, "seconds"),
             (|o| o.key_hz = 3.0, "key_hz"),
@@ -289,6 +373,31 @@ mod tests {
             (|o| o.agents = vec!["cav01".into()], "cav01"),
             (|o| o.agents = vec!["cav1".into(), "cav1".into()], "twice"),
             (|o| o.pose_noise.heading_bias_deg = -1.0, "heading_bias_deg"),
+            (|o| _ = o.sweep_phase_ms.insert("cav1".into(), 100.0), "sweep_phase_ms"),
+            (
+                |o| _ = o.sweep_phase_ms.insert("cav3".into(), 1.0),
+                "`cav3` does not record",
+            ),
+            (
+                |o| {
+                    let off = ClockError {
+                        offset: -EPOCH,
+                        ..ClockError::default()
+                    };
+                    o.clock_errors.insert("cav1".into(), off);
+                },
+                "clock_errors.offset",
+            ),
+            (
+                |o| {
+                    let fast = ClockError {
+                        drift: 0.5,
+                        ..ClockError::default()
+                    };
+                    o.clock_errors.insert("rsu1".into(), fast);
+                },
+                "clock_errors.drift",
+            ),
         ];
         for (spoil, named) in cases {
             let mut options = Options::default();

@@ -6,6 +6,7 @@ use realo_schemas::{Box3, Boxes, Name, Nanos, PointCloud};
 use crate::agents::{Agent, AgentInfo, BodyState, since_epoch};
 use crate::cast::{Cast, Casting, World, cast};
 use crate::detections::detect;
+use crate::inertial::{MotionRecord, measure};
 use crate::options::{Error, Options, SWEEP_PERIOD, Scenario};
 use crate::place::Scenery;
 use crate::poses::{PoseSample, poses};
@@ -14,6 +15,8 @@ use crate::traffic::{Demand, Traffic, User};
 
 /// A place, its traffic, and the agents that record it.
 pub struct Simulation {
+    /// What was asked for, and by what everything is drawn.
+    asked: Options,
     options: Options,
     place: Scenery,
     traffic: Traffic,
@@ -57,9 +60,10 @@ impl Simulation {
     /// [`Error`] names the option that cannot be met.
     pub fn new(options: &Options) -> Result<Self, Error> {
         options.check()?;
-        let options = options.clone();
+        let asked = options.clone();
+        let options = options.of_day();
         let number = options.place.unwrap_or(options.seed);
-        let place = Scenery::new(options.scenario, number);
+        let place = Scenery::new(options.scenario, number).on_day(options.day);
         let demand = Demand {
             place: &place,
             seed: options.seed,
@@ -71,6 +75,7 @@ impl Simulation {
         let agents = Agent::all(&options, &place, &traffic)?;
         let classes = traffic.users.iter().map(|user| Name::from(user.class.name())).collect();
         Ok(Simulation {
+            asked,
             options,
             place,
             traffic,
@@ -81,7 +86,7 @@ impl Simulation {
 
     /// What was asked for.
     pub fn options(&self) -> &Options {
-        &self.options
+        &self.asked
     }
 
     /// Which place it is: what was asked for, or what `mixed` drew.
@@ -118,6 +123,13 @@ impl Simulation {
     pub fn poses(&self, agent: &str) -> Option<Vec<PoseSample>> {
         let agent = self.agents.iter().find(|a| &*a.info.name == agent)?;
         Some(poses(&self.world(), agent, &self.options))
+    }
+
+    /// What an agent's motion sensors measure, with true times; `None` if the agent does not record, or without
+    /// `Options::inertial`.
+    pub fn motion(&self, agent: &str) -> Option<MotionRecord> {
+        let agent = self.agents.iter().find(|a| &*a.info.name == agent)?;
+        Some(measure(&self.world(), agent, &self.options, self.options.inertial?))
     }
 
     /// All sweeps, by time of their end, then by agent. Casts a few at a time on rayon's current pool; what comes out

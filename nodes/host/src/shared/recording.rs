@@ -163,7 +163,8 @@ impl Recording {
             | Payload::Selection(_)
             | Payload::Report(_)
             | Payload::Boxes(_)
-            | Payload::GroundTruth(_) => {}
+            | Payload::GroundTruth(_)
+            | Payload::Motion(_) => {}
         }
         message
     }
@@ -188,6 +189,7 @@ fn size(message: &Message) -> u64 {
         Payload::Boxes(list) => boxes(list.0.len()),
         Payload::GroundTruth(truth) => boxes(truth.boxes.len()) + 4 * truth.points.len() as u64,
         Payload::AgentState(_) => 0,
+        Payload::Motion(motion) => motion.bytes(),
     };
     HEADER + message.header.trace.len() as u64 * ENTRY + payload
 }

@@ -29,6 +29,8 @@ pub struct Script {
     pub true_poses: bool,
     pub points: bool,
     pub detections: bool,
+    /// Whether what motion sensors measured is played.
+    pub motion: bool,
     /// Whether the collaborators' packets are played.
     pub precomputed: bool,
     /// Whether only the ego's streams are played.
@@ -61,9 +63,20 @@ impl Script {
         if truth { Stream::PoseTruth } else { Stream::Pose }
     }
 
-    pub(super) fn per_pass(&self, agent: &str) -> [u64; 2] {
+    pub(super) fn per_pass(&self, agent: &str) -> [u64; 3] {
         let poses = self.log.count(agent, self.pose_stream(agent));
-        [poses, sweeps_per_pass(&self.log, agent)]
+        // A message has one measurement at least.
+        let motion = self
+            .motion_streams(agent)
+            .map(|stream| self.log.count(agent, stream))
+            .sum();
+        [poses, sweeps_per_pass(&self.log, agent), motion]
+    }
+
+    /// The motion sensors of an agent that are played.
+    fn motion_streams(&self, agent: &str) -> impl Iterator<Item = Stream> {
+        let streams = [Stream::Imu, Stream::Fix, Stream::Wheels].into_iter();
+        streams.filter(move |stream| self.motion && self.log.has(agent, *stream))
     }
 
     fn is_precomputed(&self, agent: &str) -> bool {
@@ -211,6 +224,7 @@ impl Script {
         for agent in self.played() {
             wanted.push((agent, self.pose_stream(agent)));
             wanted.push((agent, self.sweep_stream(agent)));
+            wanted.extend(self.motion_streams(agent).map(|stream| (agent, stream)));
             if self.is_precomputed(agent) {
                 wanted.push((agent, Stream::Packets));
             }

@@ -107,6 +107,8 @@ impl Feed {
             false => entry.ready(),
         };
         known.insert(entry.stamp(), (seq, release));
+        self.send_motion(rank, [entry.stamp(), release]);
+        let known = self.sweeps.entry(entry.agent.clone()).or_default();
         if self.script.detections && self.script.log.has(&entry.agent, Stream::Detections) {
             let bare = self.bare.entry(entry.agent.clone()).or_default();
             bare.sweep(entry.stamp(), entry.ready());

@@ -30,11 +30,27 @@ pub enum Error {
     /// A scenario that there is not.
     #[error(
         "simulation option `scenario`: no scenario `{found}`; there are intersection, corridor, junction, tee, roundabout, \
-         curve, residential, motorway, car_park, avenue, rural, market and mixed"
+         curve, residential, motorway, car_park, avenue, rural, market, loop and mixed"
     )]
     UnknownScenario {
         /// The name that came.
         found: String,
+    },
+    /// Motion sensors that there are not.
+    #[error("simulation option `inertial`: no unit `{found}`; there are consumer, tactical and rtk")]
+    UnknownUnit {
+        /// The name that came.
+        found: String,
+    },
+    /// Something of an agent that does not record.
+    #[error("simulation option `{field}`: `{agent}` does not record; the agents are {agents}")]
+    NotAnAgent {
+        /// The option.
+        field: &'static str,
+        /// The name that came.
+        agent: String,
+        /// Who records.
+        agents: String,
     },
     /// A place whose traffic has no two cars that can carry agents.
     #[error(

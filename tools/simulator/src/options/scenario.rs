@@ -33,10 +33,12 @@ pub enum Scenario {
     Market,
     /// One of all these, as the place's number says.
     Mixed,
+    /// Streets around a block, with a canyon in which satellite receivers have no position; `mixed` does not draw it.
+    Loop,
 }
 
 impl Scenario {
-    /// All that are places of their own.
+    /// All that `mixed` draws from.
     pub const PLACES: [Scenario; 12] = [
         Scenario::Intersection,
         Scenario::Corridor,
@@ -52,7 +54,13 @@ impl Scenario {
         Scenario::Market,
     ];
 
-    /// The places whose roads run at any angle: all but the two on a grid.
+    /// All that there are, but for `mixed`.
+    pub const ALL: [Scenario; 13] = {
+        let [a, b, c, d, e, f, g, h, i, j, k, l] = Self::PLACES;
+        [a, b, c, d, e, f, g, h, i, j, k, l, Scenario::Loop]
+    };
+
+    /// The places of [`Scenario::PLACES`] whose roads run at any angle: all but the two on a grid.
     pub const NETWORKS: [Scenario; 10] = {
         let [_, _, networks @ ..] = Self::PLACES;
         networks
@@ -74,6 +82,7 @@ impl Scenario {
             Scenario::Rural => "rural",
             Scenario::Market => "market",
             Scenario::Mixed => "mixed",
+            Scenario::Loop => "loop",
         }
     }
 
@@ -82,7 +91,7 @@ impl Scenario {
     /// # Errors
     /// [`Error::UnknownScenario`] lists the names.
     pub fn from_name(name: &str) -> Result<Self, Error> {
-        let mut all = Self::PLACES.into_iter().chain([Scenario::Mixed]);
+        let mut all = Self::ALL.into_iter().chain([Scenario::Mixed]);
         all.find(|scenario| scenario.name() == name)
             .ok_or_else(|| Error::UnknownScenario { found: name.into() })
     }

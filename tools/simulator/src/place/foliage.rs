@@ -65,6 +65,31 @@ impl Foliage {
         }
     }
 
+    /// The same on another day: cut, grown or thinned; `None` if it is gone. It never reaches farther aside.
+    pub fn on_day(&self, place: u64, day: u64) -> Option<Foliage> {
+        const GONE: f64 = 0.1;
+        let draw = |k: u64| unit_of(mix(self.seed ^ mix(place ^ mix(8 * day + k))));
+        if draw(0) < GONE {
+            return None;
+        }
+        let [aside, up, dense] = [0.8 + 0.2 * draw(1), 0.85 + 0.25 * draw(2), 0.7 + 0.7 * draw(3)];
+        let half = self.half.map(f64::from);
+        let mut other = self.clone();
+        other.half = [
+            (aside * half[0]) as f32,
+            (aside * half[1]) as f32,
+            (up * half[2]) as f32,
+        ];
+        other.inverse = other.half.map(|half| 1.0 / half);
+        // Its foot stays where it is.
+        other.center[2] += (up - 1.0) * half[2];
+        if self.depth >= HARD as f32 {
+            other.depth = (self.depth * dense as f32).max(HARD as f32);
+        }
+        other.seed = mix(self.seed ^ mix(day));
+        Some(other)
+    }
+
     /// Radius of the circle around it, m.
     pub fn radius(&self) -> f64 {
         let [a, b, _] = self.half.map(f64::from);

@@ -16,6 +16,7 @@ pub(crate) use network::{Arm, CROSSING_HALF, Control, Network, Node, SIDES, Stri
 pub(crate) use roads::{BAY, BAYS, CYCLE_LANE, Grid, KERB, LANE, PAVEMENT, REACH, Roads};
 
 use crate::Scenario;
+use crate::inertial::Sky;
 use crate::path::Pose2;
 use crate::random::Stream;
 use crate::solid::{Hit, Solid};
@@ -132,6 +133,27 @@ impl Scenery {
             fixtures,
             foliage: clutter.foliage,
             heading: Self::heading(number),
+        }
+    }
+
+    /// The same place on another day: what grows has lost or gained some, or is gone; all else is as it was.
+    pub fn on_day(mut self, day: u64) -> Self {
+        if day > 0 {
+            let number = self.number;
+            self.foliage = self
+                .foliage
+                .iter()
+                .filter_map(|foliage| foliage.on_day(number, day))
+                .collect();
+        }
+        self
+    }
+
+    /// The sky over a point: between the houses of a grid it is narrow.
+    pub fn sky(&self, x: f64, y: f64) -> Sky {
+        match &self.plan {
+            Plan::Grid(_) => Sky::Narrow,
+            Plan::Network(network) => network.sky(x, y),
         }
     }
 

@@ -15,7 +15,10 @@ mod section;
 use std::f64::consts::PI;
 
 use super::surface::Surface;
+use super::verge::VergeKind;
+use crate::inertial::Sky;
 use crate::path::{Path, Pose2, angle_within};
+use crate::random::Stream;
 pub(crate) use builder::Builder;
 pub(crate) use section::{Bays, SIDES, Section, Strip};
 
@@ -197,9 +200,47 @@ pub(crate) struct Network {
     /// Where rsu1 and rsu2 stand.
     pub roadside: [Pose2; 2],
     pub surface: Surface,
+    /// Stretches of roads over which too little of the sky is free for a satellite receiver, m along their lines.
+    pub hidden: Vec<(usize, [f64; 2])>,
+    /// Roads that lead round a block, each on to the next; some of the traffic never leaves them.
+    pub ring: Vec<usize>,
 }
 
 impl Network {
+    /// Whether a vehicle of a traffic, by number, never leaves the ring; nobody where there is none.
+    pub fn keeps_to_ring(&self, seed: u64, number: u64) -> bool {
+        !self.ring.is_empty() && Stream::new(seed, "keeps", number).chance(0.5)
+    }
+
+    /// The sky over a point: that of the nearest road.
+    pub fn sky(&self, x: f64, y: f64) -> Sky {
+        const STEP: f64 = 2.0;
+        let mut nearest = (f64::INFINITY, 0, 0.0);
+        for (index, road) in self.roads.iter().enumerate() {
+            for k in 0..=(road.line.length() / STEP) as usize {
+                let s = k as f64 * STEP;
+                let at = road.line.at(s).0;
+                let square = (at.x - x) * (at.x - x) + (at.y - y) * (at.y - y);
+                if square < nearest.0 {
+                    nearest = (square, index, s);
+                }
+            }
+        }
+        let (_, road, s) = nearest;
+        if self
+            .hidden
+            .iter()
+            .any(|(hidden, [from, to])| *hidden == road && (*from..=*to).contains(&s))
+        {
+            return Sky::Hidden;
+        }
+        let beside = self.roads[road].section.beside;
+        match beside.iter().all(|(kind, _)| *kind == VergeKind::Street) {
+            true => Sky::Narrow,
+            false => Sky::Open,
+        }
+    }
+
     /// Distance from a roadside unit to a point in the middle of its view, m; infinite outside.
     pub fn watched(&self, x: f64, y: f64) -> f64 {
         const HALF_ANGLE: f64 = 0.45;

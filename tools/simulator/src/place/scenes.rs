@@ -1,6 +1,7 @@
 //! The places with roads at any angle, each drawn anew for every number.
 
 mod avenue;
+mod block;
 mod car_park;
 mod crossings;
 mod curve;
@@ -20,6 +21,7 @@ use crate::Scenario;
 use crate::path::Path;
 use crate::random::Stream;
 use avenue::avenue;
+use block::block;
 use car_park::car_park;
 use crossings::{junction, roundabout, tee};
 use curve::curve;
@@ -56,6 +58,7 @@ pub(crate) fn scene(scenario: Scenario, number: u64) -> Scene {
         Scenario::Avenue => avenue(&mut draws),
         Scenario::Rural => rural(&mut draws),
         Scenario::Market => market(&mut draws),
+        Scenario::Loop => block(&mut draws),
         _ => junction(&mut draws),
     };
     let Draft {
@@ -67,6 +70,8 @@ pub(crate) fn scene(scenario: Scenario, number: u64) -> Scene {
         cell,
         merges,
         mut islands,
+        hidden,
+        ring,
     } = draft;
     if kerbs {
         park_along(&mut builder, &mut Stream::new(number, "kerbside", 0));
@@ -96,6 +101,8 @@ pub(crate) fn scene(scenario: Scenario, number: u64) -> Scene {
             islands,
             roadside,
             surface,
+            hidden,
+            ring,
         },
         grade: [slope * cos, slope * sin],
         cell,
@@ -125,6 +132,10 @@ struct Draft {
     cell: f64,
     merges: Vec<Merge>,
     islands: Vec<(Path, f64)>,
+    /// Stretches of roads over which too little of the sky is free for a satellite receiver.
+    hidden: Vec<(usize, [f64; 2])>,
+    /// Roads that lead round a block, each on to the next.
+    ring: Vec<usize>,
 }
 
 impl Draft {
@@ -143,6 +154,8 @@ impl Draft {
             cell: 2.0,
             merges: Vec::new(),
             islands: Vec::new(),
+            hidden: Vec::new(),
+            ring: Vec::new(),
         }
     }
 }

@@ -48,9 +48,20 @@ impl<'a> Flow<'a> {
         }
     }
 
+    /// Whether a lane is of the ring, or a turn on to it.
+    fn leads_on(&self, lane: usize) -> bool {
+        let of_ring = |lane: &RoadLane| lane.road.is_some_and(|road| self.plan.network.ring.contains(&road));
+        let lane = self.lane(lane);
+        of_ring(lane) || lane.road.is_none() && lane.next.iter().any(|next| of_ring(self.lane(next.0)))
+    }
+
     fn choose(&self, lane: &RoadLane, vehicle: &mut Vehicle) -> Option<usize> {
         let fits = |next: &&(usize, f64)| self.carries(vehicle.class, next.0, 0);
         let mut all: Vec<(usize, f64)> = lane.next.iter().filter(fits).copied().collect();
+        if self.plan.network.keeps_to_ring(self.plan.seed, vehicle.number) {
+            let on: Vec<(usize, f64)> = all.iter().filter(|next| self.leads_on(next.0)).copied().collect();
+            all = if on.is_empty() { all } else { on };
+        }
         if all.is_empty() {
             let widest = lane
                 .next
