@@ -311,7 +311,12 @@ impl MapBuilder {
         let place = Vector3::from_fn(|i, _| (f64::from(corner[i]) + 0.5) * size + mean[i]);
         let near = |view: &&View| (view.sensor - place).norm_squared() < VIEW_RANGE_M * VIEW_RANGE_M;
         let margin = size.max(1.0);
-        let empty = self.views.iter().filter(near).filter(|view| view.is_past(&place, margin)).count() as u32;
+        let empty = self
+            .views
+            .iter()
+            .filter(near)
+            .filter(|view| view.is_past(&place, margin))
+            .count() as u32;
         let decided = f64::from(empty) + f64::from(cell.shown);
         empty < MIN_EMPTY || f64::from(empty) <= settings.empty_share * decided
     }

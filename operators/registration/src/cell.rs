@@ -15,7 +15,7 @@ pub(crate) const NO_CELL: u64 = 0;
 #[inline]
 pub(crate) fn key_of([x, y, z]: [i32; 3]) -> u64 {
     let biased = [x, y, z].map(|number| number.wrapping_add(BIAS).cast_unsigned());
-    let inside = biased.map(|number| number.wrapping_sub(1) < (1 << 21) - 2);
+    let inside = biased.map(|number| number.wrapping_sub(2) < (1 << 21) - 3);
     if inside[0] & inside[1] & inside[2] {
         let [x, y, z] = biased.map(u64::from);
         x << 42 | y << 21 | z
@@ -48,7 +48,7 @@ mod tests {
 
     #[test]
     fn cells_beyond_the_border_have_no_key() {
-        for far in [BIAS - 1, BIAS, 1 - BIAS, -BIAS, i32::MAX, i32::MIN] {
+        for far in [MAX + 1, BIAS, -MAX - 1, -BIAS, i32::MAX, i32::MIN] {
             for axis in 0..3 {
                 let mut cell = [5, -6, 7];
                 cell[axis] = far;

@@ -56,8 +56,7 @@ mod tests {
     use super::*;
 
     fn check<const N: usize>(entries: &[f64]) -> Result<(), TestCaseError> {
-        let matrix: [[f64; N]; N] =
-            std::array::from_fn(|i| std::array::from_fn(|j| entries[i.max(j) * N + i.min(j)]));
+        let matrix: [[f64; N]; N] = std::array::from_fn(|i| std::array::from_fn(|j| entries[i.max(j) * N + i.min(j)]));
         let (values, vectors) = eigen(matrix);
         for k in 0..N {
             prop_assert!(k == 0 || values[k - 1] <= values[k]);

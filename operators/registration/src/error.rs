@@ -53,7 +53,9 @@ pub enum Flaw {
         found: usize,
     },
     /// Its bytes changed.
-    #[error("its checksum is {expected:08x}, that of its bytes {found:08x}: it was damaged; copy or build the map again")]
+    #[error(
+        "its checksum is {expected:08x}, that of its bytes {found:08x}: it was damaged; copy or build the map again"
+    )]
     Checksum {
         /// As the file says.
         expected: u32,
@@ -100,7 +102,9 @@ impl SettingError {
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
 pub enum BuildError {
     /// A pose that is no place.
-    #[error("the sweep of `{agent}` at {stamp} ns: expected a pose of finite numbers within {MAX_PLACE_M:e} m, found {found:?}")]
+    #[error(
+        "the sweep of `{agent}` at {stamp} ns: expected a pose of finite numbers within {MAX_PLACE_M:e} m, found {found:?}"
+    )]
     Pose {
         /// Whose sweep it is.
         agent: String,
@@ -161,7 +165,9 @@ pub enum AlignError {
     #[error("expected a guess of finite numbers, found {0:?}")]
     Guess([f64; 3]),
     /// A guess that is not on the map.
-    #[error("expected a guess within {limit:.0} m of the map's origin, found it {found:.0} m away: is it the map of another place?")]
+    #[error(
+        "expected a guess within {limit:.0} m of the map's origin, found it {found:.0} m away: is it the map of another place?"
+    )]
     OffMap {
         /// How far a map reaches, m.
         limit: f64,

@@ -61,7 +61,13 @@ fn encode(info: &MapInfo, records: &[[u8; BYTES]]) -> Vec<u8> {
     bytes.extend(VERSION.to_le_bytes());
     bytes.extend((name.len() as u32).to_le_bytes());
     bytes.extend((records.len() as u64).to_le_bytes());
-    let numbers = [info.voxel_m, info.thickness_m, info.origin.x, info.origin.y, info.origin.z];
+    let numbers = [
+        info.voxel_m,
+        info.thickness_m,
+        info.origin.x,
+        info.origin.y,
+        info.origin.z,
+    ];
     bytes.extend(numbers.into_iter().flat_map(f64::to_le_bytes));
     bytes.extend(info.sweeps.to_le_bytes());
     bytes.extend(info.span.into_iter().flat_map(i64::to_le_bytes));
@@ -146,7 +152,13 @@ fn info(mut head: Head, name: &[u8]) -> Result<MapInfo, Flaw> {
     // Behind the name's length and the number of voxels.
     let frame = match str::from_utf8(name) {
         Ok(frame) if frame.len() <= MAX_NAME => frame.to_string(),
-        _ => return Err(field("frame", "UTF-8 of at most 255 bytes", format!("{} bytes", name.len()))),
+        _ => {
+            return Err(field(
+                "frame",
+                "UTF-8 of at most 255 bytes",
+                format!("{} bytes", name.len()),
+            ));
+        }
     };
     let voxel_m = head.number("voxel_m", "0.05 to 10", [0.05, 10.0])?;
     let thickness_m = head.number("thickness_m", "0.001 to 1", [1e-3, 1.0])?;
@@ -181,7 +193,12 @@ fn check_records(records: &[[u8; BYTES]]) -> Result<(), Flaw> {
             return Err(Flaw::Field {
                 field: "voxel",
                 expected: "a point or more, and an axis of 0 to 2",
-                found: format!("{} points, axis {}, in cell {}", record.points(), record.axis(), found()),
+                found: format!(
+                    "{} points, axis {}, in cell {}",
+                    record.points(),
+                    record.axis(),
+                    found()
+                ),
             });
         }
         last = key;
@@ -235,7 +252,7 @@ impl VoxelMap {
     /// What the system says.
     pub fn write(&self, path: &Path) -> Result<(), MapError> {
         let mut beside = path.as_os_str().to_owned();
-        beside.push(".partial");
+        beside.push(format!(".{}.partial", std::process::id()));
         let write = || {
             let mut file = File::create(&beside)?;
             file.write_all(self.as_bytes())?;
@@ -294,7 +311,10 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let path = folder.path().join("street.map");
         let map = VoxelMap::from_bytes(sound()).unwrap();
-        assert_eq!((map.len(), map.info().frame.as_str(), map.info().sweeps), (5, "map", 30));
+        assert_eq!(
+            (map.len(), map.info().frame.as_str(), map.info().sweeps),
+            (5, "map", 30)
+        );
         map.write(&path).unwrap();
         let read = VoxelMap::open(&path).unwrap();
         assert!(read.as_bytes() == map.as_bytes() && read.info() == map.info());
@@ -338,7 +358,11 @@ mod tests {
         };
         let first = HEAD;
         for (at, new, expected) in [
-            (24, &f64::NAN.to_le_bytes()[..], "`voxel_m`: expected 0.05 to 10, found NaN"),
+            (
+                24,
+                &f64::NAN.to_le_bytes()[..],
+                "`voxel_m`: expected 0.05 to 10, found NaN",
+            ),
             (24, &0.0f64.to_le_bytes(), "`voxel_m`"),
             (32, &(-1.0f64).to_le_bytes(), "`thickness_m`"),
             (48, &f64::INFINITY.to_le_bytes(), "`origin.y`"),
@@ -382,10 +406,16 @@ mod tests {
         for content in ["", "notes", &"# notes\n".repeat(100)] {
             std::fs::write(&path, content).unwrap();
             let error = VoxelMap::open(&path).unwrap_err().to_string();
-            assert!(error.contains("notes.txt") && error.contains("realo map build"), "{error}");
+            assert!(
+                error.contains("notes.txt") && error.contains("realo map build"),
+                "{error}"
+            );
         }
         let map = VoxelMap::from_bytes(sound()).unwrap();
-        let error = map.write(&folder.path().join("none/street.map")).unwrap_err().to_string();
+        let error = map
+            .write(&folder.path().join("none/street.map"))
+            .unwrap_err()
+            .to_string();
         assert!(error.contains("cannot be written"), "{error}");
     }
 }

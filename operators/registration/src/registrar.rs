@@ -15,9 +15,13 @@ use crate::sample::{Sample, Sampler};
 const MAX_TURN: f64 = 0.1;
 /// Iterations at most that a wide search leaves for tracking.
 const FINISH: u32 = 5;
-/// Wide searches begin with a kernel this many times as wide, and narrow it by a factor at each iteration.
-const WIDE_KERNEL: f64 = 4.0;
-const NARROWING: f64 = 0.8;
+/// A search begins with a kernel this many times as wide, and narrows it by a factor at each iteration: as guesses are off by more than
+/// sensors are.
+const WIDENING: f64 = 2.5;
+const NARROWING: f64 = 0.6;
+/// The same of a wide search.
+const WIDE_WIDENING: f64 = 5.0;
+const WIDE_NARROWING: f64 = 0.8;
 /// Distances have at least this variance, m²: sensors and maps are not better than 2 cm.
 const MIN_VARIANCE: f64 = 0.02 * 0.02;
 
@@ -197,7 +201,13 @@ impl Registrar {
             sums: Sums::default(),
         };
         if search == Search::Wide {
-            self.run(map, &sample, &mut progress, true, self.settings.max_iterations.saturating_sub(FINISH));
+            self.run(
+                map,
+                &sample,
+                &mut progress,
+                true,
+                self.settings.max_iterations.saturating_sub(FINISH),
+            );
         }
         self.run(map, &sample, &mut progress, false, self.settings.max_iterations);
         Ok(self.alignment(progress, sample.len()))
@@ -209,15 +219,17 @@ impl Registrar {
         progress.converged = false;
         while !progress.converged && progress.iterations < until {
             let widening = match is_wide {
-                true => WIDE_KERNEL * libm::pow(NARROWING, f64::from(progress.iterations)),
-                false => 1.0,
+                true => WIDE_WIDENING * libm::pow(WIDE_NARROWING, f64::from(progress.iterations)),
+                false => WIDENING * libm::pow(NARROWING, f64::from(progress.iterations)),
             };
             let kernel = Kernel {
                 width: (settings.kernel_m * widening.max(1.0)) as f32,
                 inlier: settings.kernel_m as f32,
                 is_wide,
             };
-            let Some(placed) = Placed::new(map, &progress.pose) else { return };
+            let Some(placed) = Placed::new(map, &progress.pose) else {
+                return;
+            };
             progress.sums = sums(map, &placed, sample, &kernel);
             progress.iterations += 1;
             let Some(observed) = Observed::new(&progress.sums, settings.degenerate_share) else {
@@ -227,8 +239,7 @@ impl Registrar {
             progress.pose = stepped(&progress.pose, &step);
             let [shift, turn] = lengths(&step);
             // A kernel that still narrows moves the pose on.
-            progress.converged =
-                shift < settings.stop_m && turn.to_degrees() < settings.stop_deg && widening <= 1.0;
+            progress.converged = shift < settings.stop_m && turn.to_degrees() < settings.stop_deg && widening <= 1.0;
         }
     }
 

@@ -143,10 +143,17 @@ mod tests {
         let (mut products, mut right) = ([[0f64; 6]; 6], [0f64; 6]);
         for _ in 0..2500 {
             let mut number = || draw.below(2_000_000) as f32 * 1e-6 - 1.0;
-            let (s, p) = ([number(), number(), number()], [60.0 * number(), 60.0 * number(), 9.0 * number()]);
+            let (s, p) = (
+                [number(), number(), number()],
+                [60.0 * number(), 60.0 * number(), 9.0 * number()],
+            );
             let (distance, weight) = (number(), number().abs());
             rows.push(s, p, distance, weight, &mut sums);
-            let cross = [p[1] * s[2] - p[2] * s[1], p[2] * s[0] - p[0] * s[2], p[0] * s[1] - p[1] * s[0]];
+            let cross = [
+                p[1] * s[2] - p[2] * s[1],
+                p[2] * s[0] - p[0] * s[2],
+                p[0] * s[1] - p[1] * s[0],
+            ];
             let j: [f64; 6] = std::array::from_fn(|i| f64::from(if i < 3 { s[i] } else { cross[i - 3] }));
             let square = f64::from(weight) * f64::from(weight);
             for a in 0..6 {

@@ -149,8 +149,15 @@ mod tests {
         ];
         let sample = Sampler::new(1.0, [2.0, 80.0]).sample(&cloud(&points));
         assert_eq!(sample.len(), 2);
-        for (found, expected) in [(&sample.x, [10.4, -4.5]), (&sample.y, [-3.6, 0.5]), (&sample.z, [0.5, 0.25])] {
-            assert!(found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-5), "{sample:?}");
+        for (found, expected) in [
+            (&sample.x, [10.4, -4.5]),
+            (&sample.y, [-3.6, 0.5]),
+            (&sample.z, [0.5, 0.25]),
+        ] {
+            assert!(
+                found.iter().zip(expected).all(|(a, b)| (a - b).abs() < 1e-5),
+                "{sample:?}"
+            );
         }
         assert!(Sampler::new(1.0, [2.0, 80.0]).sample(&PointCloud::empty()).is_empty());
     }
@@ -169,7 +176,9 @@ mod tests {
         assert_eq!(sampler.sample(&one), first);
         let cells = |sample: &Sample| {
             let each = sample.x.iter().zip(&sample.y).zip(&sample.z);
-            let mut all: Vec<_> = each.map(|((x, y), z)| [x, y, z].map(|v| (v * 2.0).floor() as i32)).collect();
+            let mut all: Vec<_> = each
+                .map(|((x, y), z)| [x, y, z].map(|v| (v * 2.0).floor() as i32))
+                .collect();
             all.sort_unstable();
             all.dedup();
             all.len()

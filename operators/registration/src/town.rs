@@ -66,8 +66,18 @@ impl Town {
             while x < to {
                 let (length, depth, height) = (number(6.0, 20.0), number(6.0, 10.0), number(4.0, 12.0));
                 let y = side * (number(11.0, 14.0) + 0.5 * depth);
-                blocks.push(Block::new([x + 0.5 * length, y], [length, depth], height, number(-0.06, 0.06)));
-                blocks.push(Block::new([x + number(0.0, length), side * number(8.0, 9.5)], [0.3, 0.3], 6.0, 0.4));
+                blocks.push(Block::new(
+                    [x + 0.5 * length, y],
+                    [length, depth],
+                    height,
+                    number(-0.06, 0.06),
+                ));
+                blocks.push(Block::new(
+                    [x + number(0.0, length), side * number(8.0, 9.5)],
+                    [0.3, 0.3],
+                    6.0,
+                    0.4,
+                ));
                 if number(0.0, 1.0) < 0.4 {
                     blocks.push(Block::car([x + number(0.0, length), side * number(6.0, 6.5)]));
                 }
@@ -79,7 +89,11 @@ impl Town {
 
     /// Two walls without end along x, and nothing else.
     pub fn walls() -> Self {
-        Town([-12.0, 12.0].map(|y| Block::new([0.0, y], [1000.0, 2.0], 8.0, 0.0)).into())
+        Town(
+            [-12.0, 12.0]
+                .map(|y| Block::new([0.0, y], [1000.0, 2.0], 8.0, 0.0))
+                .into(),
+        )
     }
 
     pub fn with(&self, block: Block) -> Self {
@@ -103,17 +117,27 @@ impl Town {
             for beam in 0..beams {
                 let elevation = (-25.0 + 40.0 * beam as f64 / beams as f64).to_radians();
                 let flat = libm::cos(elevation);
-                let direction = Vector3::new(flat * libm::cos(azimuth), flat * libm::sin(azimuth), libm::sin(elevation));
+                let direction = Vector3::new(
+                    flat * libm::cos(azimuth),
+                    flat * libm::sin(azimuth),
+                    libm::sin(elevation),
+                );
                 let in_map = map_from_body.rotation * direction;
                 let hits = blocks.iter().filter_map(|block| block.enters(&sensor, &in_map));
-                let ground = if in_map.z < 0.0 { -sensor.z / in_map.z } else { f64::INFINITY };
+                let ground = if in_map.z < 0.0 {
+                    -sensor.z / in_map.z
+                } else {
+                    f64::INFINITY
+                };
                 let range = hits.fold(ground, f64::min);
                 if range > MAX_RANGE {
                     continue;
                 }
                 let noise = (0..4).map(|_| draw.below(1000) as f64 * 1e-3 - 0.5).sum::<f64>() * 0.035;
                 let point = Point3::from(SENSOR) + direction * (range + noise);
-                axes.iter_mut().zip(point.iter()).for_each(|(axis, value)| axis.push(*value as f32));
+                axes.iter_mut()
+                    .zip(point.iter())
+                    .for_each(|(axis, value)| axis.push(*value as f32));
             }
         }
         let [x, y, z] = axes;

@@ -81,7 +81,8 @@ impl Moments {
     pub fn encode(&self, key: u64, size: f64, thickness: f64) -> [u8; BYTES] {
         let (values, vectors) = eigen(self.covariance());
         let normal = vectors[0];
-        let is_planar = values[0] <= FLATNESS * values[1] && values[0] <= (MAX_ROUGHNESS * size) * (MAX_ROUGHNESS * size);
+        let is_planar =
+            values[0] <= FLATNESS * values[1] && values[0] <= (MAX_ROUGHNESS * size) * (MAX_ROUGHNESS * size);
         let axis = (1..3).fold(0, |most, i| if normal[i].abs() > normal[most].abs() { i } else { most });
         let sign = if normal[axis] < 0.0 { -1.0 } else { 1.0 };
         let sides = [1, 2].map(|after| sign * normal[(axis + after) % 3]);
@@ -105,7 +106,8 @@ impl Moments {
 fn root(variances: &[f64; 3], directions: &[[f64; 3]; 3], thickness: f64) -> [f64; 6] {
     let least = thickness * thickness;
     let weights = variances.map(|variance| least / variance.max(least));
-    let element = |i: usize, j: usize| -> f64 { (0..3).map(|k| weights[k] * directions[k][i] * directions[k][j]).sum() };
+    let element =
+        |i: usize, j: usize| -> f64 { (0..3).map(|k| weights[k] * directions[k][i] * directions[k][j]).sum() };
     let l00 = element(0, 0).sqrt();
     let (l10, l20) = (element(1, 0) / l00, element(2, 0) / l00);
     let l11 = (element(1, 1) - l10 * l10).max(0.0).sqrt();
@@ -180,7 +182,10 @@ impl Record<'_> {
         let (cell, mean) = (cell_of(self.key()), self.mean());
         let mean = Vector3::from_fn(|i, _| (f64::from(cell[i]) + f64::from(mean[i])) * size);
         let columns = self.root().map(|column| Vector3::from(column.map(f64::from)));
-        let information = columns.iter().map(|column| column * column.transpose()).sum::<Matrix3<f64>>();
+        let information = columns
+            .iter()
+            .map(|column| column * column.transpose())
+            .sum::<Matrix3<f64>>();
         Voxel {
             cell,
             points: self.points(),
@@ -218,7 +223,8 @@ mod tests {
         let mut draw = Draw::new(seed);
         let side = normal.cross(&Vector3::new(0.3, -0.5, 0.8)).normalize();
         let other = normal.cross(&side);
-        let mut point = || 0.5 * (side * uniform(&mut draw) + other * uniform(&mut draw)) + normal * (noise * uniform(&mut draw));
+        let mut point =
+            || 0.5 * (side * uniform(&mut draw) + other * uniform(&mut draw)) + normal * (noise * uniform(&mut draw));
         (0..400).map(|_| point().into()).collect()
     }
 
@@ -252,7 +258,10 @@ mod tests {
         let pole = made(&pole, [0; 3]);
         assert!(!pole.is_planar);
         let diagonal = pole.information.diagonal();
-        assert!(diagonal[0] > 20.0 * diagonal[2] && diagonal[1] > 20.0 * diagonal[2], "{diagonal}");
+        assert!(
+            diagonal[0] > 20.0 * diagonal[2] && diagonal[1] > 20.0 * diagonal[2],
+            "{diagonal}"
+        );
         let rough: Vec<[f64; 3]> = heap.iter().map(|[x, y, z]| [*x, *y, 0.5 * z]).collect();
         assert!(!made(&rough, [0; 3]).is_planar);
     }
@@ -263,7 +272,11 @@ mod tests {
         for _ in 0..10_000 {
             let bytes: [u8; BYTES] = std::array::from_fn(|_| draw.number() as u8);
             let record = Record(&bytes);
-            let numbers = record.mean().into_iter().chain(record.normal()).chain(record.root().into_iter().flatten());
+            let numbers = record
+                .mean()
+                .into_iter()
+                .chain(record.normal())
+                .chain(record.root().into_iter().flatten());
             assert!(numbers.into_iter().all(|number| number.abs() <= 1.01), "{bytes:?}");
         }
     }

@@ -14,7 +14,10 @@ fn ply(path: &Path) -> PointCloud {
     let end = b"end_header\n";
     let body = bytes.windows(end.len()).position(|window| window == end).unwrap() + end.len();
     let head = str::from_utf8(&bytes[..body]).unwrap();
-    let count = head.lines().find_map(|line| line.strip_prefix("element vertex ")).unwrap();
+    let count = head
+        .lines()
+        .find_map(|line| line.strip_prefix("element vertex "))
+        .unwrap();
     let n: usize = count.parse().unwrap();
     assert_eq!(bytes.len() - body, 16 * n, "{}", path.display());
     let points = bytes[body..].as_chunks::<16>().0;
@@ -74,7 +77,13 @@ fn the_pair_is_aligned_as_small_gicp_aligns_it() {
         let found = alignment.map_from_body;
         let shift = (found.translation.vector - expected.translation.vector).norm();
         let turn = found.rotation.angle_to(&expected.rotation).to_degrees();
-        eprintln!("{search:?}: {shift:.4} m, {turn:.3}° off in {} iterations", alignment.iterations);
-        assert!(alignment.converged && shift < 0.05 && turn < 0.5, "{shift} m, {turn}°: {alignment:?}");
+        eprintln!(
+            "{search:?}: {shift:.4} m, {turn:.3}° off in {} iterations",
+            alignment.iterations
+        );
+        assert!(
+            alignment.converged && shift < 0.05 && turn < 0.5,
+            "{shift} m, {turn}°: {alignment:?}"
+        );
     }
 }

@@ -47,13 +47,19 @@ fn what_stands_is_in_the_map_where_it_stands() {
         let on_ground = voxel.mean.z.abs() < 0.6;
         assert!(on_wall || on_ground, "{voxel:?}");
         if on_wall && voxel.is_planar {
-            assert!(voxel.normal.y.abs() > 0.99 && (voxel.mean.y - 11.0).abs() < 0.02, "{voxel:?}");
+            assert!(
+                voxel.normal.y.abs() > 0.99 && (voxel.mean.y - 11.0).abs() < 0.02,
+                "{voxel:?}"
+            );
             walls += 1;
         }
     }
     assert!(walls > 100, "{walls}");
     let info = map.info();
-    assert_eq!((info.sweeps, info.span, info.frame.as_str()), (30, [0, 29 * SECOND / 5], "map"));
+    assert_eq!(
+        (info.sweeps, info.span, info.frame.as_str()),
+        (30, [0, 29 * SECOND / 5], "map")
+    );
 }
 
 #[test]
@@ -63,8 +69,17 @@ fn what_drives_waits_and_leaves_or_follows_another_is_left_out_and_what_is_parke
     let town = |second: f64| {
         let oncoming = Block::car([60.0 - 12.0 * second, 3.0]);
         let behind_it = Block::car([90.0 - 12.0 * second, 3.0]);
-        let waits = Block::car([if second < 2.5 { 14.0 } else { 14.0 + 25.0 * (second - 2.5) }, -3.0]);
-        [oncoming, behind_it, waits, parked].iter().fold(street.clone(), |town, block| town.with(*block))
+        let waits = Block::car([
+            if second < 2.5 {
+                14.0
+            } else {
+                14.0 + 25.0 * (second - 2.5)
+            },
+            -3.0,
+        ]);
+        [oncoming, behind_it, waits, parked]
+            .iter()
+            .fold(street.clone(), |town, block| town.with(*block))
     };
     let map = build(drive(), town, MapSettings::default());
     let (lane, place) = ([2.0, 4.0], [-4.0, -2.0]);
@@ -83,7 +98,11 @@ fn what_drives_waits_and_leaves_or_follows_another_is_left_out_and_what_is_parke
 #[test]
 fn half_a_kilometre_of_street_takes_less_than_three_megabytes() {
     let town = Town::street(2, -60.0, 560.0);
-    let map = build((0..120).map(|i| (f64::from(i) * 0.5, f64::from(i) * 500.0 / 120.0)), |_| town.clone(), MapSettings::default());
+    let map = build(
+        (0..120).map(|i| (f64::from(i) * 0.5, f64::from(i) * 500.0 / 120.0)),
+        |_| town.clone(),
+        MapSettings::default(),
+    );
     assert!(map.len() > 10_000, "{}", map.len());
     assert!(map.as_bytes().len() < 3_000_000, "{} bytes", map.as_bytes().len());
 }

