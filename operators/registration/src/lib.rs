@@ -17,6 +17,7 @@
 
 mod builder;
 mod cell;
+mod coarse;
 mod eigen;
 mod error;
 mod file;

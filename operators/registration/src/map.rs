@@ -1,9 +1,12 @@
 //! A voxel map, for looking up.
 
+use std::sync::OnceLock;
+
 use nalgebra::Point3;
 use realo_schemas::Nanos;
 
 use crate::cell::key_of;
+use crate::coarse::coarsened;
 use crate::file::Bytes;
 use crate::table::CellTable;
 use crate::voxel::{BYTES, Record, Voxel};
@@ -35,6 +38,8 @@ pub struct VoxelMap {
     /// Where the records are in `bytes`.
     records: std::ops::Range<usize>,
     table: CellTable,
+    /// The same with voxels twice as wide, once somebody asks.
+    coarser: OnceLock<Box<VoxelMap>>,
 }
 
 impl VoxelMap {
@@ -50,6 +55,7 @@ impl VoxelMap {
             bytes,
             records,
             table,
+            coarser: OnceLock::new(),
         }
     }
 
@@ -91,6 +97,11 @@ impl VoxelMap {
     /// How far from the origin cells have keys, m.
     pub fn reach_m(&self) -> f64 {
         f64::from((1 << 20) - 2) * self.info.voxel_m
+    }
+
+    /// The same map with voxels twice as wide; it is made when it is first asked for.
+    pub(crate) fn coarser(&self) -> &VoxelMap {
+        self.coarser.get_or_init(|| Box::new(coarsened(self)))
     }
 
     pub(crate) fn records(&self) -> &[[u8; BYTES]] {

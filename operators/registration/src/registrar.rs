@@ -13,15 +13,16 @@ use crate::sample::{Sample, Sampler};
 
 /// Largest turn of one step, rad; the largest shift is a voxel.
 const MAX_TURN: f64 = 0.1;
-/// Iterations at most that a wide search leaves for tracking.
-const FINISH: u32 = 5;
-/// A search begins with a kernel this many times as wide, and narrows it by a factor at each iteration: as guesses are off by more than
-/// sensors are.
+/// Shares of all iterations after which a wide search goes on with voxels of twice and of once the map's size.
+const LEVELS: [f64; 2] = [0.4, 0.6];
+/// Tracking begins with a kernel this many times as wide, for guesses are off by more than sensors are, and narrows it by a factor.
 const WIDENING: f64 = 2.5;
 const NARROWING: f64 = 0.6;
-/// The same of a wide search.
-const WIDE_WIDENING: f64 = 5.0;
-const WIDE_NARROWING: f64 = 0.8;
+/// Widths of the kernel of a wide search, first and last, in voxels, and the factor from one step to the next.
+const WIDE_WIDTHS: [f64; 2] = [0.75, 0.2];
+const WIDE_NARROWING: f64 = 0.7;
+/// The last step of a stage of a wide search for voxels of 1 m: m, degrees.
+const WIDE_STOP: [f64; 2] = [0.02, 0.05];
 /// Distances have at least this variance, m²: sensors and maps are not better than 2 cm.
 const MIN_VARIANCE: f64 = 0.02 * 0.02;
 
@@ -90,7 +91,8 @@ impl RegistrarSettings {
 pub enum Search {
     /// Within half a voxel or so: planes, each in a point's own voxel.
     Track,
-    /// Within some voxels, at the start and after a loss: distributions in seven voxels with a wide kernel, then as [`Search::Track`].
+    /// Within some voxels, at the start and after a loss: distributions in seven voxels that are four times as wide, then twice; then as
+    /// [`Search::Track`].
     Wide,
 }
 
@@ -137,6 +139,19 @@ impl Alignment {
 pub struct Registrar {
     settings: RegistrarSettings,
     sampler: Sampler,
+}
+
+/// A part of a search.
+struct Stage<'a> {
+    map: &'a VoxelMap,
+    is_wide: bool,
+    /// The kernel's width at the first step, its factor from one step to the next, and its width at last, m.
+    widths: [f64; 2],
+    narrowing: f64,
+    /// A step that is shorter, and turns by less, is the last: m, degrees.
+    stop: [f64; 2],
+    /// All iterations of the search until then.
+    until: u32,
 }
 
 /// A pose on its way.
@@ -201,45 +216,67 @@ impl Registrar {
             sums: Sums::default(),
         };
         if search == Search::Wide {
-            self.run(
-                map,
-                &sample,
-                &mut progress,
-                true,
-                self.settings.max_iterations.saturating_sub(FINISH),
-            );
+            let twice = map.coarser();
+            for (map, share) in [twice.coarser(), twice].into_iter().zip(LEVELS) {
+                self.run(&sample, &mut progress, &self.wide(map, share));
+            }
         }
-        self.run(map, &sample, &mut progress, false, self.settings.max_iterations);
+        self.run(&sample, &mut progress, &self.tracking(map));
         Ok(self.alignment(progress, sample.len()))
     }
 
-    /// Steps until they are short or there were enough.
-    fn run(&self, map: &VoxelMap, sample: &Sample, progress: &mut Progress, is_wide: bool, until: u32) {
+    /// Distributions on a map with wider voxels, up to a share of all iterations.
+    fn wide<'a>(&self, map: &'a VoxelMap, share: f64) -> Stage<'a> {
+        let size = map.info().voxel_m;
+        Stage {
+            map,
+            is_wide: true,
+            widths: [WIDE_WIDTHS[0] * size, WIDE_WIDTHS[1] * size],
+            narrowing: WIDE_NARROWING,
+            // The next stage does the rest.
+            stop: [WIDE_STOP[0] * size, WIDE_STOP[1] * size],
+            until: (f64::from(self.settings.max_iterations) * share) as u32,
+        }
+    }
+
+    /// Planes in the map's own voxels.
+    fn tracking<'a>(&self, map: &'a VoxelMap) -> Stage<'a> {
         let settings = &self.settings;
+        Stage {
+            map,
+            is_wide: false,
+            widths: [WIDENING * settings.kernel_m, settings.kernel_m],
+            narrowing: NARROWING,
+            stop: [settings.stop_m, settings.stop_deg],
+            until: settings.max_iterations,
+        }
+    }
+
+    /// Steps until they are short or there were enough.
+    fn run(&self, sample: &Sample, progress: &mut Progress, stage: &Stage) {
+        let [mut width, last_width] = stage.widths;
         progress.converged = false;
-        while !progress.converged && progress.iterations < until {
-            let widening = match is_wide {
-                true => WIDE_WIDENING * libm::pow(WIDE_NARROWING, f64::from(progress.iterations)),
-                false => WIDENING * libm::pow(NARROWING, f64::from(progress.iterations)),
-            };
+        while !progress.converged && progress.iterations < stage.until {
             let kernel = Kernel {
-                width: (settings.kernel_m * widening.max(1.0)) as f32,
-                inlier: settings.kernel_m as f32,
-                is_wide,
+                width: width.max(last_width) as f32,
+                inlier: self.settings.kernel_m as f32,
+                is_wide: stage.is_wide,
             };
-            let Some(placed) = Placed::new(map, &progress.pose) else {
+            let Some(placed) = Placed::new(stage.map, &progress.pose) else {
                 return;
             };
-            progress.sums = sums(map, &placed, sample, &kernel);
+            progress.sums = sums(stage.map, &placed, sample, &kernel);
             progress.iterations += 1;
-            let Some(observed) = Observed::new(&progress.sums, settings.degenerate_share) else {
+            let Some(observed) = Observed::new(&progress.sums, self.settings.degenerate_share) else {
                 return;
             };
-            let step = limited(observed.step, map.info().voxel_m);
+            let step = limited(observed.step, stage.map.info().voxel_m);
             progress.pose = stepped(&progress.pose, &step);
             let [shift, turn] = lengths(&step);
+            let [stop_m, stop_deg] = stage.stop;
             // A kernel that still narrows moves the pose on.
-            progress.converged = shift < settings.stop_m && turn.to_degrees() < settings.stop_deg && widening <= 1.0;
+            progress.converged = shift < stop_m && turn.to_degrees() < stop_deg && width <= last_width;
+            width *= stage.narrowing;
         }
     }
 

@@ -65,6 +65,14 @@ impl Moments {
         }
     }
 
+    /// Adds the mean of some points and their covariance, as one point.
+    pub fn add_spread(&mut self, mean: [f64; 3], covariance: [f64; 6]) {
+        self.add(mean);
+        for (sum, value) in self.products.iter_mut().zip(covariance) {
+            *sum += value;
+        }
+    }
+
     /// Mean of the points, m from the cell's centre.
     pub fn mean(&self) -> [f64; 3] {
         self.sum.map(|sum| sum / f64::from(self.points.max(1)))
@@ -175,6 +183,17 @@ impl Record<'_> {
     pub fn root(self) -> [[f32; 3]; 3] {
         let [l00, l10, l11, l20, l21, l22] = [20, 22, 24, 26, 28, 30].map(|at| self.signed(at));
         [[l00, l10, l20], [0.0, l11, l21], [0.0, 0.0, l22]]
+    }
+
+    /// Covariance of the points with variances of thickness² or more, m²: xx, xy, xz, yy, yz, zz.
+    pub fn covariance(self, thickness: f64) -> [f64; 6] {
+        let [[l00, l10, l20], [_, l11, l21], [_, _, l22]] = self.root().map(|column| column.map(f64::from));
+        // Columns of the inverse of L.
+        let [a, b, c] = [1.0 / l00, 1.0 / l11, 1.0 / l22];
+        let (d, f) = (-l10 * a * b, -l21 * b * c);
+        let e = (l10 * l21 * b - l20) * a * c;
+        let square = thickness * thickness;
+        [a * a + d * d + e * e, d * b + e * f, e * c, b * b + f * f, f * c, c * c].map(|value| square * value)
     }
 
     /// All of it, in numbers for people; `origin` of the map, size and thickness in m.
