@@ -6,8 +6,8 @@ use realo_cli::program::{self, Elsewhere};
 use realo_operator::Registration;
 
 use crate::{
-    compare, doctor, evaluate, host, info, keys, latency, merge, new, operators, precompute, registry, render, run,
-    sweep, validate,
+    compare, doctor, evaluate, host, info, keys, latency, map, merge, new, operators, precompute, registry, render,
+    run, sweep, validate,
 };
 
 /// What the workbench does, for who asks this program for it.
@@ -45,6 +45,7 @@ enum Command {
     Precompute(precompute::Args),
     Info(info::Args),
     Merge(merge::Args),
+    Map(map::Args),
     Validate(validate::Args),
     New(new::Args),
     Operators(operators::Args),
@@ -90,6 +91,7 @@ pub fn main_with(own: &[Registration]) -> ExitCode {
         Command::Evaluate(args) => evaluate::main(&args),
         Command::Render(args) => render::main(&args),
         Command::Merge(args) => merge::main(&args),
+        Command::Map(args) => map::main(&args),
         Command::Precompute(args) => precompute::main(&args),
         Command::Info(args) => info::main(&args),
         Command::Validate(args) => validate::main(&args),

@@ -13,6 +13,7 @@ pub mod host;
 pub mod info;
 mod keys;
 mod latency;
+mod map;
 pub mod merge;
 mod new;
 pub mod operators;

@@ -9,6 +9,7 @@ mod nms;
 mod paper;
 mod peer;
 pub(crate) mod radio;
+mod registration;
 mod simulate;
 mod train;
 mod transmission;
@@ -42,8 +43,8 @@ pub struct Args {
     /// What the log recorded instead of the network, so that little is computed (faults)
     #[arg(long)]
     recorded_detections: bool,
-    /// Interpreter with the packages that detector (numpy, spconv), network (torch, openvino, nncf, onnxruntime) and train (torch)
-    /// are compared with
+    /// Interpreter with the packages that detector (numpy, spconv), network (torch, openvino, nncf, onnxruntime), train (torch) and
+    /// registration (numpy, small_gicp) are compared with
     #[arg(long)]
     python: Option<PathBuf>,
 }
@@ -60,6 +61,8 @@ enum Name {
     Network,
     /// A training step, against PyTorch
     Train,
+    /// From the points of a sweep to its pose on a map, against small_gicp
+    Registration,
     /// A BEV map into bytes and out again, step by step, in all elements
     Transmission,
     /// From the last point to fused boxes in realtime on dora, 2, 4 and 8 agents
@@ -86,6 +89,7 @@ impl Name {
             Name::Detector => &["numpy", "cumm", "spconv"],
             Name::Network => &["torch", "openvino", "nncf", "onnxruntime"],
             Name::Train => &["torch"],
+            Name::Registration => &["numpy", "small_gicp"],
             _ => &[],
         }
     }
@@ -110,6 +114,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         Name::Detector => print(&detector::bench(args.python.as_deref(), &progress)?, args.json),
         Name::Network => print(&network::bench(args.python.as_deref(), &progress)?, args.json),
         Name::Train => print(&train::bench(args.python.as_deref(), &progress)?, args.json),
+        Name::Registration => print(&registration::bench(args.python.as_deref(), &progress)?, args.json),
         Name::Transmission => print(&transmission::bench(&progress)?, args.json),
         Name::Framework => print(&framework::bench(args.seconds.unwrap_or(10.0), &progress)?, args.json),
         Name::Radio => print(

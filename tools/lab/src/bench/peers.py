@@ -26,6 +26,30 @@ def voxels(reported):
     return f"spconv {importlib.metadata.version('spconv')}", lambda: voxeliser.point_to_voxel(kept[1])
 
 
+def registration(reported):
+    """small_gicp from the points of a sweep to its pose: voxel grid, then point to plane, on a target whose normals and tree are there."""
+    import importlib.metadata
+    import itertools
+
+    import numpy
+    import small_gicp
+
+    read = lambda file: numpy.fromfile(file, dtype=numpy.float32).reshape(-1, 3).astype(numpy.float64)
+    target, tree = small_gicp.preprocess_points(read(reported["target"]), reported["target_m"], num_threads=1)
+    sources = [(read(source["points"]), numpy.array(source["guess"])) for source in reported["sources"]]
+
+    def align(points, guess):
+        sample = small_gicp.voxelgrid_sampling(points, reported["sample_m"], num_threads=1)
+        settings = {"registration_type": "PLANE_ICP", "max_correspondence_distance": 1.0, "num_threads": 1}
+        return small_gicp.align(target, sample, tree, guess, **settings).T_target_source
+
+    truths = [numpy.array(source["truth"]) for source in reported["sources"]]
+    off = max(numpy.linalg.norm((align(*source) - truth)[:3, 3]) for source, truth in zip(sources, truths))
+    turns = itertools.cycle(sources)
+    name = f"small_gicp {importlib.metadata.version('small_gicp')}, voxel grid and PLANE_ICP, at most {1e3 * off:.1f} mm off"
+    return name, lambda: align(*next(turns))
+
+
 def point_pillars(reported):
     """The network from the canvas to its last map: backbone, shrink layers, and heads if there are any."""
     import torch
@@ -290,6 +314,7 @@ PEERS = {
     "onnxruntime": onnxruntime,
     "openvino": openvino,
     "pytorch": pytorch,
+    "registration": registration,
     "training": training,
     "v2xvit": v2xvit,
     "voxels": voxels,

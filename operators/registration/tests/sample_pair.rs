@@ -1,0 +1,89 @@
+//! Two sweeps of a moving LiDAR with the transform between them, as small_gicp's repository has them (`data/`, MIT).
+//!
+//! Reads `$REALO_SHARED/data/registration`.
+
+use std::path::Path;
+
+use nalgebra::{Isometry3, Matrix3, Rotation3, UnitQuaternion, Vector3};
+use realo_registration::{MapBuilder, MapSettings, PosedSweep, Registrar, RegistrarSettings, Search, VoxelMap};
+use realo_schemas::PointCloud;
+
+/// A PLY file of x, y, z and intensity, each an f32.
+fn ply(path: &Path) -> PointCloud {
+    let bytes = std::fs::read(path).unwrap();
+    let end = b"end_header\n";
+    let body = bytes.windows(end.len()).position(|window| window == end).unwrap() + end.len();
+    let head = str::from_utf8(&bytes[..body]).unwrap();
+    let count = head
+        .lines()
+        .find_map(|line| line.strip_prefix("element vertex "))
+        .unwrap();
+    let n: usize = count.parse().unwrap();
+    assert_eq!(bytes.len() - body, 16 * n, "{}", path.display());
+    let points = bytes[body..].as_chunks::<16>().0;
+    let column = |axis: usize| -> Vec<f32> {
+        let at = |point: &[u8; 16]| f32::from_le_bytes(std::array::from_fn(|i| point[4 * axis + i]));
+        points.iter().map(at).collect()
+    };
+    PointCloud::new(column(0), column(1), column(2), vec![0; n], vec![0; n], vec![0; n]).unwrap()
+}
+
+fn transform(path: &Path) -> Isometry3<f64> {
+    let text = std::fs::read_to_string(path).unwrap();
+    let numbers: Vec<f64> = text.split_whitespace().map(|word| word.parse().unwrap()).collect();
+    let rotation = Matrix3::from_fn(|i, j| numbers[4 * i + j]);
+    let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix(&rotation));
+    Isometry3::from_parts(Vector3::new(numbers[3], numbers[7], numbers[11]).into(), rotation)
+}
+
+/// The map of one sweep alone.
+fn map_of(cloud: &PointCloud) -> VoxelMap {
+    let settings = MapSettings {
+        range_m: [0.0, 100.0],
+        min_points: 6,
+        min_sweeps: 1,
+        apart_s: 0.0,
+        empty_share: 1.0,
+        ..MapSettings::default()
+    };
+    let mut builder = MapBuilder::new(settings, "target").unwrap();
+    let sweep = PosedSweep {
+        agent: "car",
+        stamp: 0,
+        cloud,
+        map_from_body: &Isometry3::identity(),
+        sensor: [0.0; 3],
+    };
+    builder.add(&sweep).unwrap();
+    builder.finish(|_, _| ()).unwrap()
+}
+
+#[test]
+fn the_pair_is_aligned_as_small_gicp_aligns_it() {
+    let Some(folder) = skipped::shared("data/registration") else {
+        return;
+    };
+    let [source, target] = ["source.ply", "target.ply"].map(|name| ply(&folder.join(name)));
+    let expected = transform(&folder.join("T_target_source.txt"));
+    let map = map_of(&target);
+    let settings = RegistrarSettings {
+        sample_m: 0.25,
+        range_m: [0.0, 100.0],
+        ..RegistrarSettings::default()
+    };
+    let mut registrar = Registrar::new(settings).unwrap();
+    for search in [Search::Track, Search::Wide] {
+        let alignment = registrar.align(&map, &source, &Isometry3::identity(), search).unwrap();
+        let found = alignment.map_from_body;
+        let shift = (found.translation.vector - expected.translation.vector).norm();
+        let turn = found.rotation.angle_to(&expected.rotation).to_degrees();
+        eprintln!(
+            "{search:?}: {shift:.4} m, {turn:.3}° off in {} iterations",
+            alignment.iterations
+        );
+        assert!(
+            alignment.converged && shift < 0.05 && turn < 0.5,
+            "{shift} m, {turn}°: {alignment:?}"
+        );
+    }
+}
