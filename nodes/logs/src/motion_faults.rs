@@ -34,11 +34,13 @@ const ROLLING: f64 = 2.0;
 /// A log that cannot be read.
 pub(crate) fn motion_faults(log: &Log, agent: &str) -> Result<Vec<String>, LogError> {
     let mut found = Vec::new();
+    let streams = [Stream::Imu, Stream::Fix, Stream::Wheels].into_iter();
+    let there: Vec<Stream> = streams.filter(|stream| log.has(agent, *stream)).collect();
+    if there.is_empty() {
+        return Ok(found);
+    }
     let poses = positions(log, agent)?;
-    for stream in [Stream::Imu, Stream::Fix, Stream::Wheels] {
-        if !log.has(agent, stream) {
-            continue;
-        }
+    for stream in there {
         let Measured { all, stamps, unusable } = measured(log, agent, stream)?;
         let topic = stream.topic(agent);
         found.extend(unusable.map(|words| format!("{topic}: {words}")));
@@ -81,7 +83,7 @@ fn measured(log: &Log, agent: &str, stream: Stream) -> Result<Measured, LogError
             }
         }
     }
-    let words = |first| format!("{lost} of {messages} {}; the first: {first}", MOTION_UNUSABLE[0]);
+    let words = |first: String| format!("{lost} of {messages} {}; the first: {first}", MOTION_UNUSABLE[0]);
     found.unusable = first.map(words);
     Ok(found)
 }

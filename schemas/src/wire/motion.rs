@@ -26,8 +26,9 @@ pub(super) fn write(motion: &Motion, row: &mut Builder) {
     row.list("fix_quality", UInt8Array::from_iter_values(qualities));
     times(row, "wheel", motion.wheels.iter().map(|wheel| wheel.taken));
     row.list_f64("wheel_speed", motion.wheels.iter().map(|wheel| wheel.speed).collect());
-    let variances = motion.wheels.iter().map(|wheel| wheel.variance);
-    row.list("wheel_variance", Float64Array::from_iter(variances));
+    // Unknown variances are NaN: lists of numbers have no gaps in other languages.
+    let variances = motion.wheels.iter().map(|wheel| wheel.variance.unwrap_or(f64::NAN));
+    row.list_f64("wheel_variance", variances.collect());
     row.list_f64("imu_at", motion.imu_position.to_vec());
     row.list_f64("antenna_at", motion.antenna.to_vec());
     row.list_f64("axle_at", motion.axle.to_vec());
@@ -115,13 +116,12 @@ fn read_wheels(row: &Row) -> Result<Vec<WheelSpeed>, WireError> {
     let taken = read_times(row, "wheel")?;
     let speeds = row.list_f64("wheel_speed")?;
     as_many("wheel_speed", speeds.len(), taken.len())?;
-    let variances = row.list::<Float64Array>("wheel_variance")?;
+    let variances = row.list_f64("wheel_variance")?;
     as_many("wheel_variance", variances.len(), taken.len())?;
     let wheel = |at: usize| WheelSpeed {
         taken: taken[at],
         speed: speeds[at],
-        // Other languages have no numbers that are missing.
-        variance: Some(variances.value(at)).filter(|of| variances.is_valid(at) && !of.is_nan()),
+        variance: Some(variances[at]).filter(|of| !of.is_nan()),
     };
     Ok((0..taken.len()).map(wheel).collect())
 }
