@@ -84,14 +84,14 @@ impl Moved {
         };
         for (i, ((x, y), z)) in x.iter().zip(y).zip(z).enumerate().take(CHUNK) {
             let mut cell = [0; 3];
-            for axis in 0..3 {
+            for (axis, cell) in cell.iter_mut().enumerate() {
                 let [a, b, c] = placed.rotation[axis];
                 let point = a * x + b * y + c * z;
                 let at = (point + placed.in_cell[axis]) * placed.per_m;
                 let whole = floor(at);
                 moved.points[axis][i] = point;
                 moved.in_cells[axis][i] = at - whole as f32;
-                cell[axis] = whole.wrapping_add(placed.cell[axis]);
+                *cell = whole.wrapping_add(placed.cell[axis]);
             }
             moved.keys[i] = key_of(cell);
         }

@@ -108,12 +108,9 @@ impl Sums {
     /// The whole symmetric matrix.
     pub fn matrix(&self) -> [[f64; 6]; 6] {
         let mut matrix = [[0.0; 6]; 6];
-        let mut next = self.products.iter();
-        for i in 0..6 {
-            for j in i..6 {
-                let product = next.next().copied().unwrap_or_default();
-                (matrix[i][j], matrix[j][i]) = (product, product);
-            }
+        let places = (0..6).flat_map(|i| (i..6).map(move |j| (i, j)));
+        for ((i, j), product) in places.zip(self.products) {
+            (matrix[i][j], matrix[j][i]) = (product, product);
         }
         matrix
     }

@@ -81,7 +81,7 @@ mod tests {
         for elevation in -100..=100 {
             for azimuth in -400..400 {
                 let (azimuth, elevation) = (f64::from(azimuth) * 0.2, f64::from(elevation) * 0.25);
-                let direction = Vector3::new(1.0, azimuth.to_radians().tan(), elevation.to_radians().tan());
+                let direction = Vector3::new(1.0, libm::tan(azimuth.to_radians()), libm::tan(elevation.to_radians()));
                 let on_wall = direction * range;
                 let point = match on_wall.z < -2.0 {
                     true => direction * (-2.0 / direction.z),
