@@ -57,7 +57,7 @@ pub enum Sample {
     /// Of the GNSS receiver.
     Gnss(GnssFix),
     /// Of registration.
-    Scan(ScanPose),
+    Scan(Box<ScanPose>),
 }
 
 /// Takes an information matrix over twists at the origin of `map`, as Gauss-Newton on `exp(ξ) · map_from_body` gives it (ξ: translation,

@@ -351,11 +351,11 @@ fn junk() -> impl Strategy<Value = Sample> {
             }),
             _ => {
                 let root = nalgebra::Matrix6::from_iterator(n.iter().copied());
-                Sample::Scan(ScanPose {
+                Sample::Scan(Box::new(ScanPose {
                     stamp,
                     map_from_body: nalgebra::Isometry3::new(vector(0), vector(3)),
                     information: root * root.transpose(),
-                })
+                }))
             }
         }
     })

@@ -18,11 +18,11 @@ fn scan(number: u32, truth: &Isometry3<f64>, draws: &mut Draws) -> Sample {
     }
     let turn = Isometry3::rotation(draws.vector() * sigmas[1]).rotation;
     let position = truth.translation.vector + draws.vector() * sigmas[0];
-    Sample::Scan(ScanPose {
+    Sample::Scan(Box::new(ScanPose {
         stamp: START + from_seconds(0.1 * f64::from(number)),
         map_from_body: Isometry3::from_parts(position.into(), turn * truth.rotation),
         information,
-    })
+    }))
 }
 
 fn fix(number: u32, frame: &LocalFrame, place: Vector3<f64>, draws: &mut Draws) -> Sample {
