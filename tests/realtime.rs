@@ -138,7 +138,7 @@ fn motion_on_dora() {
     let of =
         |result: &Value, stage: &str, counter: &str| result["nodes"][stage]["counters"][counter].as_u64().unwrap_or(0);
     let in_virtual = |name: &str, more: &[&str]| {
-        let args = [&["--recorded-detections", "--ego", EGO], more].concat();
+        let args = [["--recorded-detections", "--ego", EGO].as_slice(), more].concat();
         run_virtual(name, "late_fusion", &log, &args)
     };
     let expected = in_virtual("motion_virtual", &[]);

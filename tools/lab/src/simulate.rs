@@ -175,7 +175,7 @@ fn clock_error(text: &str) -> Result<(String, ClockError), String> {
         _ => return Err(format!("expected {FORM}, found {} parts behind `=`", parts.len())),
     }
     if let Some(drift) = parts.get(1) {
-        error.drift = 1e-6 * number(drift, "DRIFT_PPM")?;
+        error.drift = number(drift, "DRIFT_PPM")? / 1e6;
     }
     if let Some(step) = parts.get(2) {
         let (step, at) = step
