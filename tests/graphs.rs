@@ -120,10 +120,15 @@ fn boxes_that_are_followed_are_moved_to_the_time_of_the_ego_and_have_identities(
     };
     let still = run("motion_still", "late_fusion", &[]);
     let moved = run("motion_moved", "late_fusion_tracked", &[]);
+    let plain = [
+        "fusion.fusion.move_boxes=false",
+        "fusion.tracker.filter_centers=false",
+        "others.tracker.filter_centers=false",
+    ];
     let left = run(
         "motion_left",
         "late_fusion_tracked",
-        &["--set", "fusion.fusion.move_boxes=false"],
+        &plain.map(|setting| ["--set", setting]).concat(),
     );
     let ap = |result: &Value| {
         result["accuracy"]["sorted"]["AP"]["vehicle"]["0.5"]
@@ -132,7 +137,7 @@ fn boxes_that_are_followed_are_moved_to_the_time_of_the_ego_and_have_identities(
     };
     let [still_ap, moved_ap, left_ap] = [&still, &moved, &left].map(ap);
     assert!(moved_ap > still_ap + 0.05, "{moved_ap} and {still_ap}");
-    assert_eq!(left_ap, still_ap, "who follows boxes moves none");
+    assert_eq!(left_ap, still_ap, "who only follows boxes changes none");
     let counters = |result: &Value, stage: &str, name: &str| result["nodes"][stage]["counters"][name].as_u64();
     assert!(counters(&moved, "fusion.fusion", "moved_boxes") > counters(&moved, "fusion.fusion", "unmoved_boxes"));
     assert_eq!(counters(&left, "fusion.fusion", "moved_boxes"), None);

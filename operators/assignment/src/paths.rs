@@ -89,11 +89,11 @@ impl Search {
         let columns = self.row_of.len();
         let costs = &self.values[row * columns..][..columns];
         let mut nearest: Option<usize> = None;
-        for column in 0..columns {
+        for (column, cost) in costs.iter().enumerate() {
             if self.reach.is_done[column] {
                 continue;
             }
-            let length = shortest + costs[column] - self.row_prices[row] - self.column_prices[column];
+            let length = shortest + cost - self.row_prices[row] - self.column_prices[column];
             if length < self.reach.length[column] {
                 (self.reach.length[column], self.reach.from[column]) = (length, row);
             }

@@ -8,8 +8,8 @@
 //! Boxes are brought to `map` by the pose in the message's header, so the sender's own motion is no motion of theirs. Tracks
 //! are paired with boxes so that the sum of their distances on the ground is the smallest (`realo-assignment`); a pair is
 //! possible up to `gate` standard deviations (Mahalanobis) and `max_distance_m`, between boxes of one class or of alike
-//! lengths. A paired box gets the identity of its track, and its velocity once the track has been seen in `min_hits` sweeps.
-//! A box without a track begins one. Centre, size, heading, score and class of boxes stay as they came.
+//! lengths. A paired box gets the identity of its track, and its velocity and centre once the track has been seen in
+//! `min_hits` sweeps. A box without a track begins one. Size, heading, height, score and class of boxes stay as they came.
 //!
 //! # Time
 //! Stamps decide, not arrival. Tracks that are not seen for `max_gap_ms` end. A message of the last stamp again, or of an

@@ -19,13 +19,13 @@ pub struct Settings {
     #[setting(default = true)]
     pub detector_velocities: bool,
     /// Standard deviation of a velocity that a detector gives a box, m/s.
-    #[setting(default = 1.0, range = 0.01..=100.0)]
+    #[setting(default = 0.5, range = 0.01..=100.0)]
     pub velocity_noise_mps: f64,
     /// Standard deviation of the speed of long objects before anything is known of it, m/s; short ones have a quarter.
     #[setting(default = 8.0, range = 0.1..=100.0)]
     pub speed_mps: f64,
-    /// Standard deviation of what a velocity changes within 1 s, m/s.
-    #[setting(default = 2.0, range = 0.01..=100.0)]
+    /// Standard deviation of what the velocity of long objects changes within 1 s, m/s; short ones have a quarter.
+    #[setting(default = 1.5, range = 0.01..=100.0)]
     pub acceleration_mps: f64,
     /// Standard deviation of what a turn rate changes within 1 s, degrees/s.
     #[setting(default = 15.0, range = 0.1..=360.0)]
@@ -39,6 +39,9 @@ pub struct Settings {
     /// Sweeps in which a track was seen before its velocity is given.
     #[setting(default = 3, range = 2..=100)]
     pub min_hits: u32,
+    /// Whether centres of boxes are then those of their tracks, which err less; false: they stay as they were detected.
+    #[setting(default = true)]
+    pub filter_centers: bool,
     /// Tracks that are not seen for longer end, ms.
     #[setting(default = 600, range = 1..=60_000)]
     pub max_gap_ms: u32,
@@ -147,7 +150,7 @@ pub enum Input {
 /// What it sends.
 #[derive(Debug, Outputs)]
 pub enum Output {
-    /// The same boxes, with identities and velocities where they are known.
+    /// The same boxes, with identities, and with the velocities and centres of their tracks where those are known.
     Tracked(Header, Boxes),
 }
 
@@ -175,6 +178,7 @@ impl Operator for Tracker {
                 gate: settings.gate,
                 max_distance_m: settings.max_distance_m,
                 min_hits: settings.min_hits,
+                filter_centers: settings.filter_centers,
                 max_gap: nanos(gap),
                 coast: nanos(coast),
                 max_tracks: settings.max_tracks,

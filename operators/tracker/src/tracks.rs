@@ -1,6 +1,6 @@
 //! The objects of one stream of boxes.
 
-use nalgebra::{Isometry3, Matrix2, Vector2, Vector3};
+use nalgebra::{Isometry3, Matrix2, Point3, Vector2, Vector3};
 use realo_assignment::{AssignmentError, Costs, FORBIDDEN, assign};
 use realo_schemas::geometry::{detection_fault, transform_box};
 use realo_schemas::{Box3, Nanos, to_seconds};
@@ -19,6 +19,8 @@ pub struct Limits {
     pub max_distance_m: f64,
     /// Sweeps in which a track was seen before its velocity is given.
     pub min_hits: u32,
+    /// Whether centres of boxes are then those of their tracks.
+    pub filter_centers: bool,
     /// A track that is not seen for longer ends, ns.
     pub max_gap: Nanos,
     /// A track that is not seen is given as a box of its own for so long, ns; 0: never.
@@ -62,6 +64,7 @@ pub struct Outcome {
 struct Track {
     id: u64,
     motion: Motion,
+    noise: Noise,
     /// Stamp of the last box.
     seen: Nanos,
     /// Boxes so far.
@@ -84,8 +87,8 @@ pub struct Tracks {
 const LONG_M: f64 = 2.5;
 /// See [`LONG_M`].
 const ELONGATED: f64 = 1.5;
-/// Of the speed of which nothing is known, the share that a short object has: people walk.
-const SHORT_SPEED: f64 = 0.25;
+/// What a short object has of the speed and the changes of speed of a long one: people walk.
+const SHORT: f64 = 0.25;
 /// Boxes of different classes are of one object if the longer is no longer than so many times the other.
 const ALIKE: f64 = 2.0;
 
@@ -121,7 +124,7 @@ impl Tracks {
         }
         self.tracks.retain(|track| stamp - track.seen <= limits.max_gap);
         for track in &mut self.tracks {
-            track.motion.predict(to_seconds(since), &limits.noise);
+            track.motion.predict(to_seconds(since), &track.noise);
         }
         let candidates = candidates(map_from_frame, boxes, limits);
         outcome.untracked = (boxes.len() - candidates.len()) as u64;
@@ -133,7 +136,7 @@ impl Tracks {
         for (track, place) in pairs {
             let candidate = &candidates[place];
             is_paired[place] = true;
-            self.tracks[track].take(stamp, candidate, &limits.noise);
+            self.tracks[track].take(stamp, candidate);
             self.tracks[track].describe(map_from_frame, &mut boxes[candidate.index], limits);
             outcome.paired += 1;
         }
@@ -197,11 +200,13 @@ impl Tracks {
         self.newest += 1;
         let mut noise = limits.noise;
         if candidate.seen.heading.is_none() {
-            noise.speed_mps *= SHORT_SPEED;
+            noise.speed_mps *= SHORT;
+            noise.acceleration_mps *= SHORT;
         }
         self.tracks.push(Track {
             id: self.newest,
             motion: Motion::of(&candidate.seen, &noise),
+            noise,
             seen: stamp,
             hits: 1,
             last: candidate.object.clone(),
@@ -241,8 +246,8 @@ impl Track {
         self.last.class == object.class || longer <= ALIKE * shorter
     }
 
-    fn take(&mut self, stamp: Nanos, candidate: &Candidate, noise: &Noise) {
-        self.motion.correct(&candidate.seen, noise);
+    fn take(&mut self, stamp: Nanos, candidate: &Candidate) {
+        self.motion.correct(&candidate.seen, &self.noise);
         self.seen = stamp;
         self.hits = self.hits.saturating_add(1);
         self.last = candidate.object.clone();
@@ -251,10 +256,15 @@ impl Track {
     /// Says in a box, in a frame whose pose is given, whose it is and how it moves.
     fn describe(&self, map_from_frame: &Isometry3<f64>, object: &mut Box3, limits: &Limits) {
         object.track = Some(self.id);
-        if self.hits >= limits.min_hits {
-            let velocity = self.motion.velocity();
-            let in_map = Vector3::new(velocity.x, velocity.y, 0.0);
-            object.velocity = Some((map_from_frame.rotation.inverse() * in_map).into());
+        if self.hits < limits.min_hits {
+            return;
+        }
+        let (position, velocity) = (self.motion.position(), self.motion.velocity());
+        let in_map = Vector3::new(velocity.x, velocity.y, 0.0);
+        object.velocity = Some((map_from_frame.rotation.inverse() * in_map).into());
+        if limits.filter_centers {
+            let in_map = Point3::new(position.x, position.y, self.last.center[2]);
+            object.center = map_from_frame.inverse_transform_point(&in_map).into();
         }
     }
 }

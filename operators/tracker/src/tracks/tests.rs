@@ -15,6 +15,7 @@ const LIMITS: Limits = Limits {
     gate: 3.5,
     max_distance_m: 4.0,
     min_hits: 3,
+    filter_centers: false,
     max_gap: 600 * MS,
     coast: 0,
     max_tracks: 64,
@@ -94,6 +95,31 @@ fn nothing_but_identity_and_velocity_of_a_box_changes() {
         };
         assert_eq!(boxes, [expected]);
     }
+}
+
+#[test]
+fn centres_of_tracks_are_nearer_to_the_objects_than_those_of_boxes() {
+    let mut tracks = Tracks::default();
+    let limits = Limits {
+        filter_centers: true,
+        ..LIMITS
+    };
+    let (mut seen, mut told) = (0.0, 0.0);
+    for sweep in 0..40 {
+        let t = 0.1 * f64::from(sweep);
+        let frame = pose(2.0 * t, 0.0, 0.1 * t);
+        // Centres that are up to 0.2 m off.
+        let off = [0.2 * libm::sin(37.0 * t), 0.2 * libm::sin(53.0 * t + 1.0)];
+        let object = walker(1.4 * t + off[0], off[1]);
+        let (boxes, _) = follow(&mut tracks, sweep as Nanos * 100 * MS, &frame, &[object], &limits);
+        let there = frame * Point3::from(boxes[0].center);
+        assert!((there.z - 12.9).abs() < 1e-9);
+        if sweep >= 10 {
+            seen += libm::hypot(off[0], off[1]);
+            told += libm::hypot(there.x - 1e5 - 1.4 * t, there.y);
+        }
+    }
+    assert!(told < 0.6 * seen, "{told} and {seen}");
 }
 
 #[test]
