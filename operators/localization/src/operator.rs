@@ -1,4 +1,4 @@
-use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings, StreamKey};
+use realo_operator::{Describe, Error, Inputs, Operator, Outputs, Settings, StreamKey};
 use realo_schemas::{AgentState, Header, Kind, Motion, PointCloud, Pose, PoseStatus};
 use serde::{Deserialize, Serialize};
 

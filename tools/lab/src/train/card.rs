@@ -17,7 +17,8 @@ use crate::score;
 
 /// What a card says.
 pub struct Card<'a> {
-    made: &'a Made,
+    /// The stage.
+    pub made: &'a Made,
     /// The stages that led to it, in order, itself last.
     way: Vec<&'a Made>,
     model: Model,
@@ -91,12 +92,12 @@ impl<'a> Card<'a> {
         let text = self.made.stage.card.as_ref();
         let about = text.map_or("", |text| text.about.trim());
         let numbers: usize = Layers::of(&self.model).tensors().map(|spec| spec.count()).sum();
-        let files: Vec<String> = self
-            .made
-            .weights
-            .iter()
-            .map(|(name, sum)| format!("`{name}`, sha256 `{sum}`"))
-            .collect();
+        let own = format!("{}.safetensors", self.model.own_weights());
+        let file = |(name, sum): (&String, &String)| match *name == own {
+            true => format!("`{name}`, sha256 `{sum}`"),
+            false => format!("the encoder's in `{name}`"),
+        };
+        let files: Vec<String> = self.made.weights.iter().map(file).collect();
         let seconds: f64 = self.way.iter().map(|made| made.seconds).sum();
         let mut card = format!(
             "<!-- Written by `realo-lab train {}`: what is edited here is lost. -->\n# `{stem}`\n\n{about}\n\n",

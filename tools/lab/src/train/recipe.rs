@@ -5,7 +5,7 @@ use std::path::Path;
 
 use eyre::{Result, WrapErr, ensure};
 use realo_cli::{Outcome, Progress, signals};
-use realo_training::recipe::{How, Made, Planned, Recipe, RecipeNews, make, plan};
+use realo_training::recipe::{How, Made, Planned, Recipe, RecipeNews, install, make, plan};
 use realo_training::{Data, validation_frames};
 
 use super::card::Card;
@@ -55,7 +55,11 @@ pub fn main(args: &Args) -> Result<Outcome> {
     if args.install {
         let folder = args.model.parent().unwrap_or(Path::new(""));
         for card in &cards {
-            install(card, folder)?;
+            let files = card.files()?;
+            install(card.made, &files, folder)?;
+            files
+                .iter()
+                .for_each(|(_, name)| println!("{}", folder.join(name).display()));
         }
     }
     Ok(Outcome::Complete)
@@ -159,17 +163,4 @@ fn cards<'a>(args: &Args, recipe: &Recipe, made: &'a [Made]) -> Result<Vec<Card<
         cards.push(card);
     }
     Ok(cards)
-}
-
-/// Puts what a card describes beside the recipe.
-fn install(card: &Card, folder: &Path) -> Result<()> {
-    for from in card.files()? {
-        let to = folder.join(from.1);
-        // A file that is replaced as a whole is never half there.
-        let part = to.with_extension("part");
-        let copied = fs::copy(&from.0, &part).and_then(|_| fs::rename(&part, &to));
-        copied.wrap_err_with(|| format!("{} to {}", from.0.display(), to.display()))?;
-        println!("{}", to.display());
-    }
-    Ok(())
 }

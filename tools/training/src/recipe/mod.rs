@@ -1,5 +1,6 @@
 //! A recipe: the stages by which weights come to be, each from random numbers or from those of a stage before.
 
+mod install;
 mod make;
 mod mean;
 
@@ -10,6 +11,7 @@ use std::path::{Path, PathBuf};
 use realo_methods::Model;
 use serde::{Deserialize, Serialize};
 
+pub use self::install::install;
 pub use self::make::{How, Made, Planned, RecipeNews, make, plan};
 use crate::TrainError;
 use crate::freeze::Part;

@@ -211,9 +211,46 @@ fn a_fusion_behind_the_encoder_of_a_stage_before_is_planned_and_made() {
         .unwrap();
     let encoder = |made: &Made| made.weights.get("small.safetensors").cloned();
     assert!(encoder(&made[1]).is_some(), "{made:?}");
-    let loaded = |made: &Made| realo_methods::load(&made.file, realo_methods::Kernels::auto(1)).unwrap();
-    let [small, fusing] = [0, 1].map(|index| loaded(&made[index]));
+    let loaded = |file: &Path| realo_methods::load(file, realo_methods::Kernels::auto(1)).unwrap();
+    let [small, fusing] = [0, 1].map(|index| loaded(&made[index].file));
     for spec in realo_nn::layers::Layers::of(&small.model).encoder() {
-        assert_eq!(small.weights.find(&spec.key), fusing.weights.find(&spec.key), "{}", spec.key);
+        assert_eq!(
+            small.weights.find(&spec.key),
+            fusing.weights.find(&spec.key),
+            "{}",
+            spec.key
+        );
     }
+
+    let own = |made: &Made, stem: &str| {
+        let files = [format!("{stem}.safetensors"), format!("{stem}.toml")];
+        files.map(|name| (made.file.with_file_name(&name), name))
+    };
+    install(&made[0], &own(&made[0], "small"), folder.path()).unwrap();
+    install(&made[1], &own(&made[1], "fusing"), folder.path()).unwrap();
+    let installed = loaded(&folder.path().join("fusing.toml"));
+    for spec in realo_nn::layers::Layers::of(&installed.model).tensors() {
+        assert_eq!(
+            installed.weights.find(&spec.key),
+            fusing.weights.find(&spec.key),
+            "{}",
+            spec.key
+        );
+    }
+    // Another encoder in the place of that one.
+    let other = THREE.replacen("steps = 3", "steps = 3\nseed = 9", 1);
+    let (there, file) = self::folder(&other);
+    let another = make(&Recipe::read(&file).unwrap(), &self::how(there.path()), &mut |_| {
+        ControlFlow::Continue(())
+    });
+    let another = &another.unwrap().unwrap()[0];
+    install(another, &own(another, "small"), there.path()).unwrap();
+    let error = install(&made[1], &own(&made[1], "fusing"), there.path())
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("small.safetensors") && error.contains("learned behind"),
+        "{error}"
+    );
+    assert!(!there.path().join("fusing.safetensors").exists());
 }
