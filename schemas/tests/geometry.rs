@@ -3,7 +3,7 @@
 use std::f64::consts::{FRAC_PI_2, PI, TAU};
 
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
-use realo_schemas::geometry::*;
+use realo_schemas::geometry::{Motion, *};
 use realo_schemas::*;
 
 const MS: Nanos = 1_000_000;

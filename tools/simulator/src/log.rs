@@ -186,7 +186,7 @@ fn write_sweep(writer: &mut LogWriter, options: &Options, sweep: &Sweep) -> Resu
 }
 
 fn log_info(simulation: &Simulation) -> LogInfo {
-    let options = simulation.options();
+    let options = simulation.asked();
     let agents = simulation.agents().map(|agent| AgentInfo {
         name: agent.name.to_string(),
         kind: match agent.kind {

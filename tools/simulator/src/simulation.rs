@@ -85,7 +85,7 @@ impl Simulation {
     }
 
     /// What was asked for.
-    pub fn options(&self) -> &Options {
+    pub fn asked(&self) -> &Options {
         &self.asked
     }
 

@@ -61,7 +61,7 @@ fn the_senders_own_motion_is_no_motion_of_what_it_sees() {
         let t = 0.1 * f64::from(sweep);
         // Driving and turning past a parked car and one that drives along the map's y.
         let frame = pose(14.0 * t, 0.3 * t, 0.5 * t);
-        let objects = [car(20.0, 3.0, 0.4), car(30.0, 9.0 * t, 1.5708)];
+        let objects = [car(20.0, 3.0, 0.4), car(30.0, 9.0 * t, std::f64::consts::FRAC_PI_2)];
         let (boxes, outcome) = follow(&mut tracks, sweep as Nanos * 100 * MS, &frame, &objects, &LIMITS);
         assert_eq!(ids(&boxes), [Some(1), Some(2)]);
         assert_eq!(

@@ -20,6 +20,9 @@ pub(super) struct Track {
     states: Vec<(Vector3<f64>, UnitQuaternion<f64>)>,
 }
 
+/// Position, heading and slope of a body.
+type Placed = ([f64; 3], f64, [f64; 2]);
+
 impl Track {
     /// The track of a vehicle, from a sample's period before `first` to one after `count` of them.
     pub fn new(world: &World, agent: &Agent, first: Nanos, count: Nanos) -> Self {
@@ -31,11 +34,10 @@ impl Track {
             let body = agent.body(world.place, world.traffic, t);
             (body.position, body.heading, body.slope)
         });
-        let raw: Vec<([f64; 3], f64, [f64; 2])> = raw.collect();
+        let raw: Vec<Placed> = raw.collect();
         let smooth = |k: usize| {
             let around = &raw[k..=k + 2 * SPREAD];
-            let mean =
-                |of: fn(&([f64; 3], f64, [f64; 2])) -> f64| around.iter().map(of).sum::<f64>() / around.len() as f64;
+            let mean = |of: fn(&Placed) -> f64| around.iter().map(of).sum::<f64>() / around.len() as f64;
             let ([x, y, _], heading, _) = raw[k + SPREAD];
             let (z, along, across) = (mean(|s| s.0[2]), mean(|s| s.2[0]), mean(|s| s.2[1]));
             // Nose and left side up are a pitch below 0 and a roll above 0.
