@@ -27,6 +27,8 @@ const ELSEWHERE: f64 = 200.0;
 const GAP_PERIODS: i64 = 10;
 /// Wheels are compared with poses above this speed, m/s.
 const ROLLING: f64 = 2.0;
+/// Speeds of poses are taken from so long before to so long after, ns.
+const ASIDE: Nanos = 250_000_000;
 
 /// What is wrong with an agent's motion sensors, a sentence each.
 ///
@@ -281,7 +283,9 @@ fn wheel_faults(wheels: &[WheelSpeed], poses: &[Place]) -> Vec<String> {
         ));
     }
     let ratio = |wheel: &WheelSpeed| {
-        let [before, after] = around(poses, wheel.taken.stamp)?;
+        // From one pose to the next the noise of poses may be all of their speed.
+        let [before, _] = around(poses, wheel.taken.stamp - ASIDE)?;
+        let [_, after] = around(poses, wheel.taken.stamp + ASIDE)?;
         let speed = apart(&before.1, &after.1) / to_seconds(after.0 - before.0);
         (speed > ROLLING).then_some(wheel.speed / speed)
     };

@@ -114,7 +114,10 @@ fn identities_and_velocities_have_blocks_where_they_are_known() {
         text.contains("0.710 / 0.640 / 0.800") && text.contains("0.40 / –"),
         "{text}"
     );
-    assert!(text.contains("HOTA: higher order tracking accuracy"), "{text}");
+    assert!(
+        crate::words::explained(&text).contains("HOTA: higher order tracking accuracy"),
+        "{text}"
+    );
 }
 
 #[test]

@@ -414,6 +414,7 @@ mod tests {
         let mut model = Model::read(&path).unwrap();
         (model.grid.x, model.grid.y) = ([-6.4, 6.4], [-6.4, 6.4]);
         model.encoder = None;
+        model.refine.clear();
         model.arch.set_compression(compression);
         model.validate().unwrap();
         model
