@@ -16,22 +16,22 @@ use realo_schemas::Nanos;
 use realo_schemas::report::Fated;
 use serde_json::Value;
 
+/// A second of a world whose agents' sweeps are spread over a tenth of it.
+const SPREAD_SECOND: [&str; 9] = [
+    "--seed",
+    "903",
+    "--seconds",
+    "1",
+    "--phase",
+    "spread",
+    "--no-clouds",
+    "--key-hz",
+    "10",
+];
+
 /// Sweeps of the agents lie at least 15 ms apart, so that no race decides which message is the newest.
 fn spread() -> PathBuf {
-    simulated(
-        "spread_second",
-        &[
-            "--seed",
-            "903",
-            "--seconds",
-            "1",
-            "--phase",
-            "spread",
-            "--no-clouds",
-            "--key-hz",
-            "10",
-        ],
-    )
+    simulated("spread_second", &SPREAD_SECOND)
 }
 
 fn locked() -> PathBuf {
@@ -119,22 +119,7 @@ fn what_motion_sensors_measured_reaches_localization() {
 
 fn motion_on_dora() {
     let _share = half();
-    let log = simulated(
-        "moving",
-        &[
-            "--seed",
-            "903",
-            "--seconds",
-            "1",
-            "--phase",
-            "spread",
-            "--no-clouds",
-            "--key-hz",
-            "10",
-            "--inertial",
-            "tactical",
-        ],
-    );
+    let log = simulated("moving", &[&SPREAD_SECOND[..], &["--inertial", "tactical"]].concat());
     let of =
         |result: &Value, stage: &str, counter: &str| result["nodes"][stage]["counters"][counter].as_u64().unwrap_or(0);
     let in_virtual = |name: &str, more: &[&str]| {

@@ -1,12 +1,16 @@
 //! What motion sensors measured, as the player sends it.
 
+mod common;
+
 use std::path::Path;
 
 use nalgebra::Isometry3;
 use realo_logs::{AgentInfo, AgentKind, FixReading, ImuReading, LogInfo, LogWriter, WheelReading};
-use realo_operator::{Source, StageOutputs};
-use realo_player::{MotionSensors, Output, Player, Settings};
+use realo_operator::Source;
+use realo_player::{MotionSensors, Player, Settings};
 use realo_schemas::{AgentState, FixQuality, Message, Nanos, Payload, PointCloud, PoseStatus};
+
+use common::{config, on, play};
 
 const START: Nanos = 1_700_000_000_000_000_000;
 const MS: Nanos = 1_000_000;
@@ -32,30 +36,6 @@ fn state(x: f64) -> AgentState {
         angular_rate: None,
         status: PoseStatus::Recorded,
     }
-}
-
-type Played = Vec<(Nanos, &'static str, Message)>;
-
-fn play(config: Settings) -> (Played, Player) {
-    let mut player = Player::new(config).unwrap();
-    let mut played = Vec::new();
-    while let Some((time, output)) = player.next().unwrap() {
-        let (port, message) = output.into_message();
-        played.push((time, Output::PORTS[port.0].name, message));
-    }
-    (played, player)
-}
-
-fn config(log: &Path) -> Settings {
-    Settings {
-        log: log.into(),
-        ..Settings::default()
-    }
-}
-
-fn on<'a>(played: &'a Played, port: &str) -> Vec<&'a Message> {
-    let of_port = played.iter().filter(|(_, name, _)| *name == port);
-    of_port.map(|(.., message)| message).collect()
 }
 
 /// A car with an inertial unit, a receiver and wheels; its sweeps are missing for a while.

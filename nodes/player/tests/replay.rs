@@ -1,17 +1,21 @@
 //! What the player makes of a log of three agents.
 
+mod common;
+
 use std::collections::BTreeMap;
 use std::fs;
 use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use realo_logs::{AgentInfo, AgentKind, Levelled, Log, LogInfo, LogWriter, Precomputed};
-use realo_operator::{Error, Source, StageOutputs};
-use realo_player::{Coop, Detections, Output, Player, PoseSource, Settings, TimeLine, next_pass, plan};
+use realo_operator::{Error, Source};
+use realo_player::{Coop, Detections, Player, PoseSource, Settings, TimeLine, next_pass, plan};
 use realo_schemas::geometry::{View, tilt_degrees};
 use realo_schemas::{
     AgentState, Box3, Boxes, GroundTruth, Kind, Message, Nanos, OwnLabels, Payload, PointCloud, PoseStatus,
 };
+
+use common::{Played, config, on, play};
 
 const START: Nanos = 1_700_000_000_000_000_000;
 const MS: Nanos = 1_000_000;
@@ -109,34 +113,6 @@ fn made() -> (tempfile::TempDir, PathBuf) {
     let path = dir.path().join("a.mcap");
     make(&path);
     (dir, path)
-}
-
-type Played = Vec<(Nanos, &'static str, Message)>;
-
-fn play(config: Settings) -> (Played, Player) {
-    let mut player = Player::new(config).unwrap();
-    let mut played = Vec::new();
-    while let Some((time, output)) = player.next().unwrap() {
-        let (port, message) = output.into_message();
-        played.push((time, Output::PORTS[port.0].name, message));
-    }
-    assert!(player.next().unwrap().is_none());
-    (played, player)
-}
-
-fn config(log: &Path) -> Settings {
-    Settings {
-        log: log.into(),
-        ..Settings::default()
-    }
-}
-
-fn on<'a>(played: &'a Played, port: &str) -> Vec<&'a Message> {
-    played
-        .iter()
-        .filter(|(_, name, _)| *name == port)
-        .map(|(_, _, message)| message)
-        .collect()
 }
 
 fn truths(played: &Played) -> Vec<GroundTruth> {

@@ -15,12 +15,14 @@ use realo_simulator::{Options, Simulation};
 use serde::Serialize;
 use serde_json::json;
 
-use super::peer::Peer;
+use super::peer::{Peer, PeerTimes};
 
 pub(super) const MODEL: &str = "models/lite.toml";
 const POINTS: usize = 100_000;
 const PILLARS: usize = 10_000;
 const ROUNDS: usize = 41;
+/// Our pillar step as a share of spconv's, at most.
+const GOAL: f64 = 0.7;
 
 /// From points to the canvas, with the detector that ships.
 #[derive(Serialize)]
@@ -28,7 +30,7 @@ pub struct Detector {
     /// Pillars that the cloud falls into.
     pillars: usize,
     steps: Vec<Step>,
-    peer: Option<PeerStep>,
+    peer: Option<PeerTimes>,
 }
 
 #[derive(Serialize)]
@@ -37,19 +39,6 @@ struct Step {
     minimum_ms: f64,
     median_ms: f64,
     goal_ms: Option<f64>,
-}
-
-/// The pillar step against another's, in turns.
-#[derive(Serialize)]
-struct PeerStep {
-    name: String,
-    minimum_ms: f64,
-    median_ms: f64,
-    /// Our minimum over theirs.
-    minimum_ratio: f64,
-    /// Median over the rounds of our time over theirs in the same round.
-    paired_ratio: f64,
-    goal: f64,
 }
 
 /// Times the pillar step and the pillar net; with an interpreter also spconv's pillar step.
@@ -73,7 +62,7 @@ pub fn bench(python: Option<&Path>, progress: &Progress) -> Result<Detector> {
         progress.add(1.0);
     }
     steps.push(step("pillar step, 100,000 points, 1 thread", &ours, None));
-    let peer = peer.map(|peer| compared(peer.name.clone(), &ours, &theirs));
+    let peer = peer.map(|peer| PeerTimes::of(peer.name.clone(), &ours, &theirs, GOAL));
     let pillars = pillariser.run(&points).clone();
 
     let loaded = realo_methods::load(Path::new(MODEL), Kernels::auto(1))?;
@@ -193,19 +182,6 @@ pub fn spread(values: &[f64]) -> (f64, f64) {
     let mut values = values.to_vec();
     values.sort_by(f64::total_cmp);
     (values[0], values[values.len() / 2])
-}
-
-fn compared(name: String, ours: &[f64], theirs: &[f64]) -> PeerStep {
-    let pairs: Vec<f64> = ours.iter().zip(theirs).map(|(ours, theirs)| ours / theirs).collect();
-    let (minimum, median) = spread(theirs);
-    PeerStep {
-        name,
-        minimum_ms: minimum * 1e3,
-        median_ms: median * 1e3,
-        minimum_ratio: spread(ours).0 / minimum,
-        paired_ratio: spread(&pairs).1,
-        goal: 0.7,
-    }
 }
 
 impl fmt::Display for Detector {

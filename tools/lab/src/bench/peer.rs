@@ -3,7 +3,10 @@ use std::path::Path;
 use std::process::{Child, ChildStdin, ChildStdout, Command, Stdio};
 
 use eyre::{Result, WrapErr, eyre};
+use serde::Serialize;
 use serde_json::Value;
+
+use super::detector::spread;
 
 const SCRIPT: &str = include_str!("peers.py");
 
@@ -19,6 +22,35 @@ pub struct Peer {
     child: Child,
     input: ChildStdin,
     output: BufReader<ChildStdout>,
+}
+
+/// The same step by another program, in turns.
+#[derive(Serialize)]
+pub struct PeerTimes {
+    pub name: String,
+    pub minimum_ms: f64,
+    pub median_ms: f64,
+    /// Our minimum over theirs.
+    pub minimum_ratio: f64,
+    /// Median over the rounds of our time over theirs in the same round.
+    pub paired_ratio: f64,
+    pub goal: f64,
+}
+
+impl PeerTimes {
+    /// Of times in seconds, round by round.
+    pub fn of(name: String, ours: &[f64], theirs: &[f64], goal: f64) -> Self {
+        let pairs: Vec<f64> = ours.iter().zip(theirs).map(|(ours, theirs)| ours / theirs).collect();
+        let (minimum, median) = spread(theirs);
+        PeerTimes {
+            name,
+            minimum_ms: minimum * 1e3,
+            median_ms: median * 1e3,
+            minimum_ratio: spread(ours).0 / minimum,
+            paired_ratio: spread(&pairs).1,
+            goal,
+        }
+    }
 }
 
 impl Peer {

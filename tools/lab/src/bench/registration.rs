@@ -14,7 +14,7 @@ use serde::Serialize;
 use serde_json::json;
 
 use super::detector::spread;
-use super::peer::Peer;
+use super::peer::{Peer, PeerTimes};
 
 const ROUNDS: usize = 30;
 /// Sweeps that the map is made of, and sweeps between them that are aligned with it.
@@ -53,19 +53,6 @@ struct Case {
     /// Most iterations.
     iterations: u32,
     peer: Option<PeerTimes>,
-}
-
-/// The same by another program, in turns.
-#[derive(Serialize)]
-struct PeerTimes {
-    name: String,
-    minimum_ms: f64,
-    median_ms: f64,
-    /// Our minimum over theirs.
-    minimum_ratio: f64,
-    /// Median over the rounds of our time over theirs in the same round.
-    paired_ratio: f64,
-    goal: f64,
 }
 
 /// A sweep at its stamp, and where it was taken.
@@ -245,7 +232,7 @@ fn case(sample_m: f64, map: &VoxelMap, aligned: &[Taken], files: Option<&Files>,
         error_mm,
         error_deg,
         iterations,
-        peer: peer.map(|peer| compared(peer.name.clone(), &ours, &theirs)),
+        peer: peer.map(|peer| PeerTimes::of(peer.name.clone(), &ours, &theirs, GOAL)),
     })
 }
 
@@ -261,19 +248,6 @@ fn peer(sample_m: f64, files: &Files) -> Result<Peer> {
         "sources": sources.collect::<Vec<_>>(),
     });
     Peer::start(files.python, "registration", &reported)
-}
-
-fn compared(name: String, ours: &[f64], theirs: &[f64]) -> PeerTimes {
-    let pairs: Vec<f64> = ours.iter().zip(theirs).map(|(ours, theirs)| ours / theirs).collect();
-    let (minimum, median) = spread(theirs);
-    PeerTimes {
-        name,
-        minimum_ms: minimum * 1e3,
-        median_ms: median * 1e3,
-        minimum_ratio: spread(ours).0 / minimum,
-        paired_ratio: spread(&pairs).1,
-        goal: GOAL,
-    }
 }
 
 impl fmt::Display for Registration {
