@@ -331,16 +331,19 @@ impl OwnLabels {
 }
 
 impl AgentState {
-    /// The pose at `dt` ns from the state's stamp, by constant velocity and angular rate.
+    /// The pose at `dt` ns from the state's stamp, by constant speed and angular rate: who turns, goes on along the arc.
     pub fn extrapolated(&self, dt: Nanos) -> Isometry3<f64> {
         let seconds = crate::to_seconds(dt);
         let mut pose = self.map_from_body;
+        let turn = self.angular_rate.unwrap_or_default() * seconds;
         if let Some(velocity) = self.velocity {
-            pose.translation.vector += velocity * seconds;
+            // The chord of an arc has the direction of its middle.
+            let half = nalgebra::UnitQuaternion::from_scaled_axis(pose.rotation * (0.5 * turn));
+            let angle = 0.5 * turn.norm();
+            let chord = if angle > 1e-6 { angle.sin() / angle } else { 1.0 };
+            pose.translation.vector += half * velocity * (seconds * chord);
         }
-        if let Some(rate) = self.angular_rate {
-            pose.rotation *= nalgebra::UnitQuaternion::from_scaled_axis(rate * seconds);
-        }
+        pose.rotation *= nalgebra::UnitQuaternion::from_scaled_axis(turn);
         pose
     }
 }

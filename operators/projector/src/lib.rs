@@ -1,4 +1,7 @@
 //! Brings sweeps to the ego's frame where they are sent, by what the ego reported of itself; or leaves that to the receiver.
+//!
+//! The frame is that in which the ego will be at the sweep's stamp, as the velocity and angular rate of its newest state say. What is
+//! left between that and where the ego is when it uses the data, the receiver corrects.
 
 use std::collections::BTreeMap;
 
@@ -11,10 +14,13 @@ use serde::{Deserialize, Serialize};
 /// How long a receiver may have heard nothing of the ego before what it knows is forgotten, ns.
 const FORGET: Nanos = 60_000_000_000;
 
+/// A state of the ego tells where it is for at most so long, ns; from then on it is taken to stand still.
+const FORESEEN: Nanos = 2_000_000_000;
+
 /// Settings of [`Projector`].
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 pub struct Settings {
-    /// Who brings points to the ego's frame: `receiver`, or `sender` (with the ego's newest known state).
+    /// Who brings points to the ego's frame: `receiver`, or `sender` (as foreseen by the ego's newest known state).
     #[setting(role = "project")]
     pub project: Project,
     /// Whose frame that is, where several agents send their states; empty: that of the newest state.
@@ -28,7 +34,7 @@ pub enum Project {
     /// Whoever receives them, or what was made of them.
     #[default]
     Receiver,
-    /// This stage, with the newest state of the ego that has arrived; nothing is sent on before the first.
+    /// This stage, to where the ego will be by its newest state that has arrived; nothing is sent on before the first.
     Sender,
 }
 
@@ -43,7 +49,7 @@ impl Project {
         (
             Project::Sender,
             "sender",
-            "Whoever sends it, with the newest state of the ego that has arrived",
+            "Whoever sends it, to where the ego will be by its newest state that has arrived",
         ),
     ];
 
@@ -202,14 +208,16 @@ impl Projector {
 #[error("a sweep without a pose cannot be projected ({0})")]
 pub struct Unposed(Box<Header>);
 
-/// A sweep in the ego's body frame at the state's stamp; the header's frame and pose are then the ego's.
+/// A sweep in the ego's body frame, as foreseen for the sweep's stamp; the header's frame and pose are then the ego's.
 fn projected(header: Header, cloud: &PointCloud, Known { header: ego, state, .. }: &Known) -> Result<Output, Unposed> {
     let pose = header.pose.as_ref();
     let pose = pose.ok_or_else(|| Unposed(Box::new(header.clone())))?;
-    let ego_from_sender = relative(&state.map_from_body, &pose.map_from_frame);
+    let ahead = header.stamp.saturating_sub(ego.stamp).clamp(-FORESEEN, FORESEEN);
+    let map_from_ego = state.extrapolated(ahead);
+    let ego_from_sender = relative(&map_from_ego, &pose.map_from_frame);
     let header = Header {
         frame: ego.frame.clone(),
-        pose: Some(Pose::exact(state.map_from_body)),
+        pose: Some(Pose::exact(map_from_ego)),
         position: Some(pose.map_from_frame.translation.vector.into()),
         ..header
     };
@@ -218,7 +226,7 @@ fn projected(header: Header, cloud: &PointCloud, Known { header: ego, state, .. 
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Isometry3;
+    use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
     use realo_schemas::{Kind, Message, PoseStatus};
 
     use super::*;
@@ -231,12 +239,59 @@ mod tests {
         header.to = Some("rsu1".into());
         let state = AgentState {
             map_from_body: Isometry3::translation(x, 0.0, 0.0),
+            ..at_rest()
+        };
+        Message::new(header, state)
+    }
+
+    fn at_rest() -> AgentState {
+        AgentState {
+            map_from_body: Isometry3::identity(),
             covariance: None,
             velocity: None,
             angular_rate: None,
             status: PoseStatus::Truth,
-        };
-        Message::new(header, state)
+        }
+    }
+
+    /// An ego that drives a circle of 20 m to the left about the origin at 10 m/s.
+    fn on_a_circle(angle: f64) -> AgentState {
+        let [east, north] = [-angle.sin(), angle.cos()];
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle + std::f64::consts::FRAC_PI_2);
+        AgentState {
+            map_from_body: Isometry3::from_parts(Translation3::new(20.0 * north, -20.0 * east, 0.0), turn),
+            velocity: Some(Vector3::new(10.0 * east, 10.0 * north, 0.0)),
+            angular_rate: Some(Vector3::new(0.0, 0.0, 0.5)),
+            ..at_rest()
+        }
+    }
+
+    #[test]
+    fn points_are_brought_to_where_the_ego_will_be() {
+        for (after, expected) in [
+            (0, 0.0),
+            (SECOND / 10, 0.1),
+            (2 * SECOND, 2.0),
+            (9 * SECOND, 2.0),
+            (-SECOND, -1.0),
+        ] {
+            let header = |kind, stamp| Header::origin(&"run".into(), &"cav1".into(), kind, 0, stamp, stamp);
+            let ego = header(Kind::AgentState, SECOND);
+            let known = Known {
+                header: ego,
+                state: on_a_circle(0.3),
+                used: false,
+            };
+            let mut header = header(Kind::Points, SECOND + after);
+            header.pose = Some(Pose::exact(Isometry3::identity()));
+            let none = PointCloud::new(vec![], vec![], vec![], vec![], vec![], vec![]).unwrap();
+            let Output::Projected(header, _) = projected(header, &none, &known).unwrap();
+            let found = header.pose.unwrap().map_from_frame;
+            let there = on_a_circle(0.3 + 0.5 * expected).map_from_body;
+            let off = (found.translation.vector - there.translation.vector).norm();
+            assert!(off < 1e-9, "{off} m after {after} ns");
+            assert!(found.rotation.angle_to(&there.rotation) < 1e-9, "after {after} ns");
+        }
     }
 
     #[test]
@@ -288,16 +343,9 @@ mod tests {
                 stamp + 7,
             );
             header.to = Some(format!("cav{k}").as_str().into());
-            let state = AgentState {
-                map_from_body: Isometry3::identity(),
-                covariance: None,
-                velocity: None,
-                angular_rate: None,
-                status: PoseStatus::Truth,
-            };
             let mut out = Outputs::at(header.ready);
             projector
-                .on_message(Input::STATE, Message::new(header, state), &mut out)
+                .on_message(Input::STATE, Message::new(header, at_rest()), &mut out)
                 .unwrap();
             fates.extend(out.take_fates());
             assert!(projector.ego.len() <= 61, "{} receivers", projector.ego.len());

@@ -124,7 +124,7 @@ pub struct Choices {
     /// What computes the networks: cpu, or cuda where the build has it [default: cpu]
     #[arg(long)]
     pub device: Option<String>,
-    /// Who brings what crosses the link to the ego's frame: its receiver, or its sender with the ego's newest known state
+    /// Who brings what crosses the link to the ego's frame: its receiver, or its sender as foreseen by the ego's newest known state
     #[arg(long, value_parser = one_of(Project::ALL))]
     pub project: Option<Project>,
     /// Seed of the links' jitter and loss

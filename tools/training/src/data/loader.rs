@@ -26,8 +26,8 @@ const AHEAD: usize = 3;
 pub(crate) const LATER: u64 = 2 * AHEAD as u64;
 
 /// Probability that the others of a step on the whole range bring their points to the ego's frame before they encode them; on parts they
-/// always do, so that the other half of the steps is mostly the fusion's.
-const BY_SENDER: f64 = 0.25;
+/// always do.
+const BY_SENDER: f64 = 0.5;
 
 /// Samples are drawn from so many frames, those that joined last.
 const POOL: u64 = 400;
