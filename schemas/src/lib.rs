@@ -21,4 +21,6 @@ pub use payload::{
     AgentState, Box3, Boxes, DType, Elements, FeatureMap, GroundTruth, OwnLabels, Packet, PointCloud, PoseStatus,
     Report, Selection,
 };
-pub use time::{Nanos, SAME_STAMP, are_one_time_line, from_seconds, is_same_stamp, to_millis, to_seconds};
+pub use time::{
+    Nanos, OFFLINE_REACH, SAME_STAMP, are_one_time_line, from_seconds, is_same_stamp, to_millis, to_seconds,
+};

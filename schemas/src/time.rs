@@ -11,6 +11,9 @@ pub fn to_seconds(nanos: Nanos) -> f64 {
     nanos as f64 * 1e-9
 }
 
+/// Offline, what is fused has stamps that differ by at most this; inclusive.
+pub const OFFLINE_REACH: Nanos = 50_000_000;
+
 /// Stamps that differ by no more are the same, ns: seconds in double precision are rounded to 238 ns.
 pub const SAME_STAMP: Nanos = 1_000;
 

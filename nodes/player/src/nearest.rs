@@ -3,7 +3,7 @@
 //! That is only so where every message arrives at once: whoever sets the setting `fused_at_most` has to know.
 
 use realo_logs::{Entry, Log, LogError, Stream};
-use realo_schemas::{Name, Nanos};
+use realo_schemas::{Name, Nanos, OFFLINE_REACH};
 
 /// Positions are kept so far apart, ns.
 const STEP: Nanos = 40_000_000;
@@ -15,8 +15,6 @@ const SLACK: f64 = 1.0;
 const AGE: Nanos = 300_000_000;
 /// A message is not taken at a greater age, ns; a bank's window is not longer.
 const ASKED: Nanos = 500_000_000;
-/// Offline, stamps of messages that are fused lie so near the ego's, ns.
-const REACH: Nanos = 50_000_000;
 
 /// When and where agents are, and how many collaborators a fusion takes.
 pub struct Nearest {
@@ -74,7 +72,7 @@ impl Nearest {
     fn asking(&self, stamp: Nanos, ready: Nanos) -> impl Iterator<Item = [Nanos; 2]> {
         let sweeps = self.tracks[0].sweeps.iter();
         sweeps.copied().filter(move |query| match self.offline {
-            true => (query[0] - stamp).abs() <= REACH,
+            true => (query[0] - stamp).abs() <= OFFLINE_REACH,
             false => query[1] >= ready && query[1] <= stamp.saturating_add(ASKED),
         })
     }
@@ -101,9 +99,9 @@ impl Nearest {
             .partition_point(|sweep| sweep[0] < stamp.saturating_sub(2 * AGE));
         let sweeps = track.sweeps[first..]
             .iter()
-            .take_while(|sweep| sweep[0] <= ready.max(stamp) + REACH);
+            .take_while(|sweep| sweep[0] <= ready.max(stamp) + OFFLINE_REACH);
         let there = sweeps.filter(|[own, own_ready]| match self.offline {
-            true => (own - stamp).abs() <= REACH,
+            true => (own - stamp).abs() <= OFFLINE_REACH,
             false => *own_ready <= ready && ready - own <= AGE,
         });
         let distances: Option<Vec<f64>> = there.map(|[own, _]| self.distance(rank, *own, stamp)).collect();

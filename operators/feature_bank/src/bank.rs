@@ -2,12 +2,9 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use realo_schemas::{Header, Message, Name, Nanos, PayloadType, to_millis};
+use realo_schemas::{Header, Message, Name, Nanos, OFFLINE_REACH, PayloadType, to_millis};
 
 use crate::sender::{Departed, Sender};
-
-/// Largest difference of stamps offline, ns; inclusive.
-pub const OFFLINE_REACH: Nanos = 50_000_000;
 
 /// Messages that are held of a sender; more than a query that waits for its turn can still ask for.
 const HELD: usize = 16;

@@ -43,5 +43,5 @@ mod bank;
 mod operator;
 mod sender;
 
-pub use bank::{Answer, Bank, BankError, OFFLINE_REACH, Taken};
+pub use bank::{Answer, Bank, BankError, Taken};
 pub use operator::{FeatureBank, Settings};

@@ -2,10 +2,10 @@ use std::collections::{BTreeMap, BTreeSet};
 
 use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings};
 use realo_schemas::report::Fate;
-use realo_schemas::{Header, Message, Name, Nanos, Selection};
+use realo_schemas::{Header, Message, Name, Nanos, OFFLINE_REACH, Selection};
 use serde::{Deserialize, Serialize};
 
-use crate::{Bank, OFFLINE_REACH, Taken};
+use crate::{Bank, Taken};
 
 /// Selections of a bank before this one whose queries have not come here.
 const AHEAD: usize = 64;

@@ -1,14 +1,15 @@
 //! Brings sweeps to the ego's frame where they are sent, by what the ego reported of itself; or leaves that to the receiver.
 //!
 //! The frame is that in which the ego will be at the sweep's stamp, as the velocity and angular rate of its newest state say. What is
-//! left between that and where the ego is when it uses the data, the receiver corrects.
+//! left between that and where the ego is when it uses the data, the receiver corrects. Offline nothing is late: a sweep waits for the
+//! state of the ego that belongs to it.
 
 use std::collections::BTreeMap;
 
 use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings};
 use realo_schemas::geometry::{relative, transform_cloud};
 use realo_schemas::report::Fate;
-use realo_schemas::{AgentState, Header, Name, Nanos, PointCloud, Pose};
+use realo_schemas::{AgentState, Header, Name, Nanos, OFFLINE_REACH, PointCloud, Pose};
 use serde::{Deserialize, Serialize};
 
 /// How long a receiver may have heard nothing of the ego before what it knows is forgotten, ns.
@@ -25,6 +26,9 @@ pub struct Settings {
     pub project: Project,
     /// Whose frame that is, where several agents send their states; empty: that of the newest state.
     pub ego: String,
+    /// A sweep waits up to 50 ms for a state of the ego within 50 ms of it.
+    #[setting(role = "offline")]
+    pub offline: bool,
 }
 
 /// Who brings points to the ego's frame.
@@ -71,6 +75,11 @@ pub struct Projector {
     only: Name,
     /// The ego's newest state, by who received it; under no name what crossed no link and holds for everybody.
     ego: BTreeMap<Option<Name>, Known>,
+    offline: bool,
+    /// Sweeps that wait for a state, by the time until which they do, and arrival.
+    waiting: BTreeMap<(Nanos, u64), (Header, PointCloud)>,
+    /// Sweeps that have waited so far.
+    waited: u64,
 }
 
 /// A state of the ego that has arrived.
@@ -117,11 +126,21 @@ impl Operator for Projector {
             project: settings.project,
             only: settings.ego.into(),
             ego: BTreeMap::new(),
+            offline: settings.offline,
+            waiting: BTreeMap::new(),
+            waited: 0,
         })
     }
 
     fn on_input(&mut self, input: Input, out: &mut Outputs<Output>) -> Result<(), Error> {
         match input {
+            Input::Clouds(header, cloud) if self.waits(&header) => {
+                let until = header.stamp.saturating_add(OFFLINE_REACH);
+                out.wake_at(until);
+                self.waiting.insert((until, self.waited), (header, cloud));
+                self.waited += 1;
+                Ok(())
+            }
             Input::Clouds(header, cloud) => self.project(header, cloud, out),
             Input::State(header, state) => {
                 if !self.only.is_empty() && header.agent != self.only {
@@ -151,12 +170,23 @@ impl Operator for Projector {
                     older.leave(Fate::Superseded, out);
                 }
                 self.forget_before(now.saturating_sub(FORGET), out);
-                Ok(())
+                self.go_on(out)
             }
         }
     }
 
+    fn on_wake(&mut self, now: Nanos, out: &mut Outputs<Output>) -> Result<(), Error> {
+        let later = self.waiting.split_off(&(now.saturating_add(1), 0));
+        for (header, cloud) in std::mem::replace(&mut self.waiting, later).into_values() {
+            self.project(header, cloud, out)?;
+        }
+        Ok(())
+    }
+
     fn on_end(&mut self, out: &mut Outputs<Output>) -> Result<(), Error> {
+        for (header, cloud) in std::mem::take(&mut self.waiting).into_values() {
+            self.project(header, cloud, out)?;
+        }
         let left = std::mem::take(&mut self.ego).into_values();
         left.for_each(|known| known.leave(Fate::InFlight, out));
         Ok(())
@@ -184,6 +214,24 @@ impl Projector {
         let own = Some(agent.clone());
         let key = if self.ego.contains_key(&own) { own } else { None };
         self.ego.get_mut(&key)
+    }
+
+    /// Whether the state that belongs to a sweep may yet come.
+    fn waits(&mut self, header: &Header) -> bool {
+        let known = self.known_to(&header.agent);
+        let belongs = known.is_some_and(|known| header.stamp.saturating_sub(known.header.stamp) <= OFFLINE_REACH);
+        self.offline && self.project == Project::Sender && !belongs
+    }
+
+    /// A state has come: sweeps that it belongs to wait no longer.
+    fn go_on(&mut self, out: &mut Outputs<Output>) -> Result<(), Error> {
+        for (key, (header, cloud)) in std::mem::take(&mut self.waiting) {
+            match self.waits(&header) {
+                true => drop(self.waiting.insert(key, (header, cloud))),
+                false => self.project(header, cloud, out)?,
+            }
+        }
+        Ok(())
     }
 
     fn project(&mut self, header: Header, cloud: PointCloud, out: &mut Outputs<Output>) -> Result<(), Error> {
@@ -300,6 +348,7 @@ mod tests {
             let settings = Settings {
                 project: Project::Sender,
                 ego: ego.into(),
+                offline: false,
             };
             let mut projector = Projector::new(settings).unwrap();
             let mut out = Outputs::at(2 * SECOND);
@@ -325,6 +374,57 @@ mod tests {
             let gone = fates.iter().find(|fated| fated.fate == Fate::Superseded).unwrap();
             assert_eq!(gone.message.from, superseded);
         }
+    }
+
+    #[test]
+    fn offline_a_sweep_waits_for_the_state_that_belongs_to_it() {
+        const MILLI: Nanos = 1_000_000;
+        let settings = Settings {
+            project: Project::Sender,
+            offline: true,
+            ..Settings::default()
+        };
+        let mut projector = Projector::new(settings).unwrap();
+        let mut out = Outputs::at(SECOND);
+        let cloud = |stamp: Nanos| {
+            let mut header = Header::origin(&"run".into(), &"rsu1".into(), Kind::Points, 0, stamp, stamp);
+            header.pose = Some(Pose::exact(Isometry3::identity()));
+            Message::new(
+                header,
+                PointCloud::new(vec![], vec![], vec![], vec![], vec![], vec![]).unwrap(),
+            )
+        };
+        let mut states = |projector: &mut Projector, stamps: [Nanos; 3]| {
+            let [early, sweep, late] = stamps;
+            projector
+                .on_message(Input::STATE, state("cav1", 10.0, early), &mut out)
+                .unwrap();
+            projector.on_message(Input::CLOUDS, cloud(sweep), &mut out).unwrap();
+            let before = out.take_sent().len();
+            projector
+                .on_message(Input::STATE, state("cav1", 20.0, late), &mut out)
+                .unwrap();
+            let sent = out.take_sent();
+            let place = sent
+                .first()
+                .map(|(_, message)| message.header.pose.as_ref().unwrap().map_from_frame);
+            (before, place.map(|place| place.translation.x))
+        };
+        let later = |at: Nanos| SECOND + at * MILLI;
+        // The state of 1.1 s belongs to it, that of 1 s does not.
+        assert_eq!(
+            states(&mut projector, [later(0), later(99), later(100)]),
+            (0, Some(20.0))
+        );
+        // That of 1.2 s does.
+        assert_eq!(states(&mut projector, [later(200), later(220), later(300)]), (1, None));
+        // None comes: it goes with what is known when its time is over.
+        assert_eq!(states(&mut projector, [later(400), later(460), later(400)]), (0, None));
+        let mut out = Outputs::at(later(510));
+        projector.on_wake(later(509), &mut out).unwrap();
+        assert_eq!(out.take_sent().len(), 0);
+        projector.on_wake(later(510), &mut out).unwrap();
+        assert_eq!(out.take_sent().len(), 1);
     }
 
     #[test]

@@ -22,6 +22,7 @@ use crate::data::{Batch, Frames, LATER, REACH, Sampling, Supply, left_out_once, 
 use crate::freeze::Frozen;
 use crate::fusing::{Start, beginning, fuses, start};
 use crate::layers::Arithmetic;
+use crate::loss::LossWeights;
 use crate::network::Network;
 use crate::optimizer::AdamW;
 use crate::random::Stream;
@@ -380,7 +381,10 @@ impl<'a> Training<'a> {
         } = &mut self.state;
         let step = optimizer.steps;
         let how = &self.options.optimizer;
-        let weights = crate::loss::LossWeights::default();
+        let weights = match fuses(&self.model) {
+            true => LossWeights::of_fusion(),
+            false => LossWeights::default(),
+        };
         let pass = network.pass(batch, &weights)?;
         let class = pass.losses.iter().map(|loss| loss.class).sum::<f64>();
         let regression = pass.losses.iter().map(|loss| loss.regression).sum::<f64>();
