@@ -152,7 +152,12 @@ fn validate_maps(model: &Model, mut encoder: MapEncoder, frames: &Arc<dyn Frames
                 (all(), Project::Receiver),
             ];
             for (way, (others, project)) in parties.into_iter().enumerate() {
-                let party = Party { ego, others, project };
+                let party = Party {
+                    ego,
+                    others,
+                    project,
+                    blind: false,
+                };
                 let view = party.view(&frame, model, &how, &mut draws);
                 let maps = encoder.run(&view)?;
                 let heads = encoder.detect(&maps)?;

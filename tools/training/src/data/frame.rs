@@ -131,6 +131,19 @@ impl AgentSweep {
         }
     }
 
+    /// The agent as if it had not measured anything.
+    pub(crate) fn unseeing(&self) -> Self {
+        let objects = self.objects.iter().map(|object| Seen { points: 0, ..*object });
+        let nothing = std::iter::empty();
+        AgentSweep::new(
+            &self.name,
+            self.roadside,
+            self.map_from_body,
+            nothing,
+            objects.collect(),
+        )
+    }
+
     /// x, y, z of all points, m.
     pub fn metres(&self) -> impl Iterator<Item = [f32; 3]> + '_ {
         self.points.iter().map(|point| point.metres())

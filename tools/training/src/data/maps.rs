@@ -18,6 +18,10 @@ use crate::random::Stream;
 /// Probability that another agent's map is one of its earlier sweep.
 const EARLIER: f64 = 0.4;
 
+/// Probability that of a party whose maps are all in the ego's frame one other's map is looked at alone: what only one agent sees
+/// has to be found in its map.
+const APART: f64 = 0.15;
+
 /// Who brings the others' features to the ego's frame.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub(crate) enum Project {
@@ -36,6 +40,8 @@ pub(crate) struct Party {
     pub others: Vec<(usize, bool)>,
     /// Who brings features to the ego's frame.
     pub project: Project,
+    /// Whether the ego's own points are left out.
+    pub blind: bool,
 }
 
 /// An agent of a sample, and how its map lies to the ego's.
@@ -92,18 +98,26 @@ impl Party {
         while others.len() >= model.arch.agents() {
             others.remove(draws.below(others.len()));
         }
-        let others = others.into_iter().map(|other| (other, draws.chance(EARLIER)));
+        let mut others: Vec<_> = others.into_iter().map(|other| (other, draws.chance(EARLIER))).collect();
+        let blind = project == Project::Sender && !others.is_empty() && draws.chance(APART);
+        if blind {
+            let (other, _) = others[draws.below(others.len())];
+            others = vec![(other, false)];
+        }
         Party {
             ego,
-            others: others.collect(),
+            others,
             project,
+            blind,
         }
     }
 
     /// What those who take part see, in the frame of the ego, and how their maps will lie.
     pub fn view(&self, frame: &Frame, model: &Model, how: &Augmentation, draws: &mut Stream) -> View {
         let ego = &frame.agents[self.ego];
-        let (mut parts, mut places) = (vec![PlacedSweep::exact(ego)], vec![Place::default()]);
+        let unseeing = self.blind.then(|| ego.unseeing());
+        let own = unseeing.as_ref().unwrap_or(ego);
+        let (mut parts, mut places) = (vec![PlacedSweep::exact(own)], vec![Place::default()]);
         for (agent, earlier) in &self.others {
             let then = frame.earlier.as_ref().filter(|_| *earlier);
             let (agents, delay) = then.map_or((&frame.agents, 0), |then| (&then.agents, then.delay));
@@ -123,6 +137,7 @@ impl Party {
         View {
             scene: Scene::new(frame, &parts, model, how, draws),
             places,
+            blind: self.blind,
         }
     }
 }
@@ -151,6 +166,7 @@ pub(crate) struct View {
     /// All points and objects, in the frame of the ego.
     pub scene: Scene,
     places: Vec<Place>,
+    blind: bool,
 }
 
 impl View {
@@ -167,7 +183,7 @@ impl View {
         self.places.iter().all(|place| place.delay == 0)
     }
 
-    /// What each agent's map is made of, the ego's first, on the grid of a model.
+    /// What each agent's map is made of, the ego's first if it sees, on the grid of a model.
     pub fn looks(&self, model: &Model) -> Vec<Look> {
         let Grid { x, y, .. } = model.grid;
         let cell = model.grid.cell * model.stride() as f64;
@@ -179,6 +195,7 @@ impl View {
                 member: Member {
                     warp: match number {
                         0 => Warp::IDENTITY,
+                        _ if self.blind => Warp::IDENTITY,
                         _ => Warp::of_ground(ground, [x[0], y[0]], cell),
                     },
                     roadside: place.roadside,
@@ -186,7 +203,8 @@ impl View {
                 },
             }
         };
-        self.places.iter().enumerate().map(look).collect()
+        let looks = self.places.iter().enumerate().skip(usize::from(self.blind));
+        looks.map(look).collect()
     }
 }
 

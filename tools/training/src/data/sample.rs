@@ -589,7 +589,10 @@ fn ignore(targets: &mut Targets, others: &Targets) {
 mod tests {
     use nalgebra::Translation3;
 
+    use realo_kernels::warp::Warp;
+
     use super::super::frame::Seen;
+    use super::super::maps::{Party, Project};
     use super::*;
 
     fn pose(x: f64, y: f64, yaw: f64) -> Isometry3<f64> {
@@ -636,6 +639,31 @@ mod tests {
 
     /// The same car as the second vehicle sees it.
     const SECOND: [f64; 7] = [17.003_465_951_4, 32.991_858_981_6, 0.8, 4.5, 1.9, 1.6, -1.0];
+
+    #[test]
+    fn of_an_ego_that_sees_nothing_the_map_of_another_is_left() {
+        let mut frame = frame();
+        frame.agents[0] = agent("cav1", pose(5.0, 1.0, 0.3), [20.0, 4.0, 0.8, 4.5, 1.9, 1.6, 0.7], 30);
+        frame.agents[1] = agent("cav2", pose(60.0, 9.0, 2.0), SECOND, 9);
+        let looks = |blind: bool| {
+            let party = Party {
+                ego: 0,
+                others: vec![(1, false)],
+                project: Project::Sender,
+                blind,
+            };
+            let mut draws = Stream::new(1, "test", 0);
+            let view = party.view(&frame, &model(), &Augmentation::none(), &mut draws);
+            assert_eq!((view.scene.objects.len(), view.scene.ego_points[0] == 0), (1, blind));
+            view.looks(&model())
+        };
+        let counts: Vec<usize> = looks(false).iter().map(|look| look.scene.iter().count()).collect();
+        assert_eq!(counts, [30, 9]);
+        let [look] = &looks(true)[..] else { panic!("one map") };
+        assert_eq!((look.scene.iter().count(), look.member.warp), (9, Warp::IDENTITY));
+        // The other's points lie where the ego's frame has the car.
+        assert!(look.scene.iter().all(|[x, y, _]| (x - 20.0).hypot(y - 4.0) < 2.6));
+    }
 
     fn scene(others: Vec<usize>, how: &Augmentation, number: u64) -> Scene {
         let mut draws = Stream::new(1, "test", number);
