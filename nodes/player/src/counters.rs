@@ -71,6 +71,8 @@ pub const ALL: &[Counter] = &[
     TILTED_POSES,
     CLOCK_OFF,
     CLOCK_AHEAD,
+    STAMPS_REBASED,
+    STAMPS_LEFT_OUT,
     STAMPS_DIFFER,
     NO_COMMON_TIME,
     SWEEPS_MISSING,
@@ -167,6 +169,19 @@ pub const CLOCK_OFF: Counter = Counter::log_fault(
     "messages were left out, because their stamps are of another clock than that of the log",
     "set the sensor's clock to the recorder's, or take that difference from the stamps when the log is written \
      (docs/reference/log-format.md, \"Clocks\")",
+);
+pub const STAMPS_REBASED: Counter = Counter::loss(
+    "stamps_rebased",
+    "messages that got another stamp, because the clock that gave theirs steps or counts something else (`stamps=rebase`)",
+    "messages got other stamps, because the clock that gave theirs steps or counts something else than the log's times",
+    "set the sensor's clock; `--stamps drop` leaves them out",
+);
+pub const STAMPS_LEFT_OUT: Counter = Counter::loss(
+    "stamps_left_out",
+    "messages not sent, because their stamps repeat, run backwards, stand still, are early, or with `stamps=drop` follow a step of the \
+     clock",
+    "messages were left out, because their stamps are wrong and nothing is to say what is right",
+    "look at the program that gives the stamps; `--stamps rebase` keeps those of a clock that steps",
 );
 pub const CLOCK_AHEAD: Counter = Counter::log_fault(
     "clock_ahead",

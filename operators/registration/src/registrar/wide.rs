@@ -5,8 +5,8 @@
 
 use nalgebra::{Isometry3, UnitQuaternion, Vector3};
 
-use super::{Progress, Registrar, Stage, sums};
-use crate::gather::{Kernel, Placed};
+use super::{Progress, Registrar, Stage};
+use crate::gather::{CHUNK, Kernel, Placed, fitness};
 use crate::map::VoxelMap;
 use crate::rows::Sums;
 use crate::sample::Sample;
@@ -95,13 +95,22 @@ fn starts(map: &VoxelMap, coarse: &VoxelMap, sample: &Sample, guess: &Isometry3<
                 };
                 all.push(Start {
                     place: [x, y, turn],
-                    score: sums(coarse, &placed, sample, &kernel).weight,
+                    score: score(coarse, &placed, sample, &kernel),
                     pose,
                 });
             }
         }
     }
     all
+}
+
+/// How well a sample fits at a pose: sums of chunks in their order.
+fn score(map: &VoxelMap, placed: &Placed, sample: &Sample, kernel: &Kernel) -> f64 {
+    let chunks = (0..sample.len()).step_by(CHUNK).map(|from| {
+        let range = from..sample.len().min(from + CHUNK);
+        [&sample.x[range.clone()], &sample.y[range.clone()], &sample.z[range]]
+    });
+    chunks.map(|points| fitness(map, placed, points, kernel)).sum()
 }
 
 /// The best starts that are no neighbours of each other.
