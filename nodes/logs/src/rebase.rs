@@ -5,8 +5,9 @@
 
 use std::collections::BTreeMap;
 
-use realo_schemas::{Name, Nanos, SAME_STAMP};
-use realo_time_offset::{Handling, StampFault, StampWatch};
+use realo_schemas::report::SensorClock;
+use realo_schemas::{Name, Nanos, SAME_STAMP, to_millis};
+use realo_time_offset::{Epoch, Handling, StampFault, StampWatch};
 
 use crate::words::seconds;
 use crate::{Log, LogError, Standing, Step, Stream};
@@ -23,7 +24,7 @@ const SENSED: [Stream; 7] = [
 ];
 
 /// What became of a stream's stamps.
-#[derive(Clone, Debug, PartialEq, Eq)]
+#[derive(Clone, Debug, PartialEq)]
 pub struct RebasedStream {
     /// The agent.
     pub agent: Name,
@@ -37,6 +38,8 @@ pub struct RebasedStream {
     pub left_out: u64,
     /// What is wrong, in words.
     pub found: String,
+    /// Its clock, as results name it.
+    pub clock: SensorClock,
 }
 
 /// Shifts of stamps, by agent and stream.
@@ -113,7 +116,12 @@ impl Log {
     /// A log that cannot be read.
     pub fn rebase(&mut self, handling: Handling) -> Result<Vec<RebasedStream>, LogError> {
         let (mut rebased, mut found) = (Rebased::default(), Vec::new());
-        let agents: Vec<Name> = self.info().agents.iter().map(|agent| agent.name.as_str().into()).collect();
+        let agents: Vec<Name> = self
+            .info()
+            .agents
+            .iter()
+            .map(|agent| agent.name.as_str().into())
+            .collect();
         for agent in agents {
             for stream in SENSED.into_iter().filter(|stream| self.has(&agent, *stream)) {
                 let is_pose = matches!(stream, Stream::Pose | Stream::PoseTruth);
@@ -130,12 +138,7 @@ impl Log {
         Ok(found)
     }
 
-    fn watch(
-        &self,
-        agent: &Name,
-        stream: Stream,
-        handling: Handling,
-    ) -> Result<(Vec<Seen>, RebasedStream), LogError> {
+    fn watch(&self, agent: &Name, stream: Stream, handling: Handling) -> Result<(Vec<Seen>, RebasedStream), LogError> {
         let mut watch = StampWatch::new(handling);
         let mut reader = self.read_unjudged(&[(agent, stream)])?;
         let (mut all, mut first) = (Vec::new(), None);
@@ -157,8 +160,32 @@ impl Log {
             moved: count(|shift| shift.is_some_and(|shift| shift != 0)),
             left_out: count(Option::is_none),
             found: first.map_or_else(String::new, |first| words(stream, &watch, first)),
+            clock: clock(agent, stream, all.len() as u64, &watch),
         };
         Ok((all, of))
+    }
+}
+
+/// What the stamps of a stream say of its clock.
+fn clock(agent: &Name, stream: Stream, messages: u64, watch: &StampWatch) -> SensorClock {
+    let sensor = match stream {
+        Stream::Imu => "imu",
+        Stream::Fix => "gnss",
+        Stream::Wheels => "wheels",
+        Stream::Pose | Stream::PoseTruth => "poses",
+        _ => "lidar",
+    };
+    let step = watch.last_step();
+    let faults = watch.faults();
+    SensorClock {
+        agent: agent.to_string(),
+        sensor: sensor.into(),
+        messages,
+        offset_ms: Some(to_millis(watch.shift())),
+        counts: watch.epoch().and_then(Epoch::name).map(String::from),
+        step_ms: (step != 0).then(|| to_millis(step)),
+        faults: faults.seen().map(|(fault, n)| (fault.name().into(), n)).collect(),
+        ..SensorClock::default()
     }
 }
 

@@ -3,6 +3,7 @@
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use realo_operator::{Counter, Counts};
+use realo_schemas::report::SensorClock;
 
 /// What was counted, for the thread that reads ahead and for who asks.
 #[derive(Clone, Default)]
@@ -21,6 +22,11 @@ impl Counters {
         if n > 0 {
             counts.found(counter, agent, found);
         }
+    }
+
+    /// Says what is known of a sensor's clock.
+    pub fn clock(&self, clock: SensorClock) {
+        self.lock().clocks.push(clock);
     }
 
     /// What was lost of an agent so far.
@@ -181,7 +187,7 @@ pub const STAMPS_LEFT_OUT: Counter = Counter::loss(
     "messages not sent, because their stamps repeat, run backwards, stand still, are early, or with `stamps=drop` follow a step of the \
      clock",
     "messages were left out, because their stamps are wrong and nothing is to say what is right",
-    "look at the program that gives the stamps; `--stamps rebase` keeps those of a clock that steps",
+    "look at the program that gives the stamps; `--stamps rebase` leaves out only what nothing can date",
 );
 pub const CLOCK_AHEAD: Counter = Counter::log_fault(
     "clock_ahead",

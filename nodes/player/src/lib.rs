@@ -429,6 +429,7 @@ fn count_rebased(streams: &[RebasedStream], counters: &Counters) {
         for (counter, n) in counts {
             counters.lost(counter, &of.agent, n, of.messages, || of.found.clone());
         }
+        counters.clock(of.clock.clone());
     }
 }
 

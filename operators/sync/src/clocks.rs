@@ -230,24 +230,24 @@ fn entry(agent: &str, sensor: Sensor, seen: &ClockSeen, apart: Option<Offset>) -
         offset_ms: offset.map(|offset| to_millis(offset.offset)),
         bound_ms: offset.map(|offset| to_millis(offset.bound)),
         drift_ms_s: offset.map(|offset| offset.drift * 1e-6).filter(|drift| *drift != 0.0),
-        by: offset.map(|_| if is_by_motion { OffsetBy::Motion } else { OffsetBy::Arrival }),
+        by: offset.map(|_| {
+            if is_by_motion {
+                OffsetBy::Motion
+            } else {
+                OffsetBy::Arrival
+            }
+        }),
         to_poses_ms: apart.map(|apart| to_millis(apart.offset)),
         to_poses_bound_ms: apart.map(|apart| to_millis(apart.bound)),
         contradicted: seen.arrives && judged.is_some_and(|judged| judged.is_contradicted),
-        counts: counts_of(counts).map(String::from),
+        counts: counts.name().map(String::from),
         step_ms: (step != 0).then(|| to_millis(step)),
-        faults: seen.clock.faults().seen().map(|(fault, n)| (fault.name().into(), n)).collect(),
-    }
-}
-
-fn counts_of(epoch: Epoch) -> Option<&'static str> {
-    match epoch {
-        Epoch::Same => None,
-        Epoch::Tai => Some("tai"),
-        Epoch::Gps => Some("gps"),
-        Epoch::Boot => Some("boot"),
-        Epoch::Weeks(_) => Some("weeks"),
-        Epoch::Unknown => Some("other"),
+        faults: seen
+            .clock
+            .faults()
+            .seen()
+            .map(|(fault, n)| (fault.name().into(), n))
+            .collect(),
     }
 }
 

@@ -111,7 +111,9 @@ pub enum SyncError {
     #[error("setting `own_body`: expected x min, x max, y min, y max in metres, or [], found {0:?}")]
     OwnBody(Vec<f32>),
     /// Delays that are none.
-    #[error("setting `{0}`: expected the smallest and the largest least delay in ms, such as [0, 4], each 0 to 10,000, found {1:?}")]
+    #[error(
+        "setting `{0}`: expected the smallest and the largest least delay in ms, such as [0, 4], each 0 to 10,000, found {1:?}"
+    )]
     Delay(&'static str, Vec<f64>),
 }
 
@@ -188,7 +190,12 @@ impl Sync {
             (&STAMPS_REBASED, watched.stamp.is_some_and(|right| right != stamp)),
             (&STAMPS_LEFT_OUT, watched.stamp.is_none()),
         ] {
-            out.count_of(counter, agent, is(wrong), if counter.name == CLOCK_STEPS.name { 0 } else { 1 });
+            out.count_of(
+                counter,
+                agent,
+                is(wrong),
+                if counter.name == CLOCK_STEPS.name { 0 } else { 1 },
+            );
             if wrong {
                 out.found(counter, agent, words);
             }

@@ -93,7 +93,11 @@ fn drive(draws: &mut Draws, clocks: Clocks, seconds: usize) -> Vec<Message> {
         yaw += rate * 1e-3;
         if step % 10 == 0 {
             let arrival = now + from_seconds(1e-3 * (1.0 + 2.0 * draws.uniform()));
-            imu.push((clocks.stamp(clocks.imu, now), arrival, rate + bias + 2.4e-3 * draws.normal()));
+            imu.push((
+                clocks.stamp(clocks.imu, now),
+                arrival,
+                rate + bias + 2.4e-3 * draws.normal(),
+            ));
         }
         let number = step as u64 / 100;
         if step % 100 == 50 {
@@ -148,7 +152,10 @@ fn run(settings: Settings, messages: Vec<Message>) -> Ran {
                 .map(|header| (header.seq, header.stamp)),
         );
         let names = ["clock_steps", "stamps_rebased", "stamps_left_out"];
-        counted.iter_mut().zip(names).for_each(|(sum, name)| *sum += out.counted(name));
+        counted
+            .iter_mut()
+            .zip(names)
+            .for_each(|(sum, name)| *sum += out.counted(name));
     };
     for message in messages {
         let port = match message.header.kind {
@@ -165,7 +172,11 @@ fn run(settings: Settings, messages: Vec<Message>) -> Ran {
     sync.on_end(&mut out).unwrap();
     note(&mut out);
     let clocks = out.clocks().to_vec();
-    Ran { sweeps, clocks, counted }
+    Ran {
+        sweeps,
+        clocks,
+        counted,
+    }
 }
 
 fn with(stamps: StampRule) -> Settings {
@@ -187,7 +198,11 @@ fn the_truth_is_within_the_bound_of_each_sensor() {
     for seed in 0..SEEDS {
         let mut draws = Draws(ChaCha8Rng::seed_from_u64(seed));
         let others = from_seconds(0.3 * draws.normal());
-        let apart = if seed % 2 == 0 { 0 } else { from_seconds(0.1 * draws.normal()) };
+        let apart = if seed % 2 == 0 {
+            0
+        } else {
+            from_seconds(0.1 * draws.normal())
+        };
         let clocks = Clocks {
             imu: others + apart,
             others,
@@ -219,7 +234,10 @@ fn the_truth_is_within_the_bound_of_each_sensor() {
     for (name, (right, estimated, sum)) in ["imu", "poses", "lidar", "imu to poses"].into_iter().zip(found) {
         let (share, mean) = (f64::from(right) / f64::from(estimated), sum / f64::from(estimated));
         println!("{name}: {right} of {estimated} within, mean bound {mean:.2} ms");
-        assert!(estimated as u64 * 10 >= SEEDS * 8, "{name}: estimated in {estimated} of {SEEDS}");
+        assert!(
+            estimated as u64 * 10 >= SEEDS * 8,
+            "{name}: estimated in {estimated} of {SEEDS}"
+        );
         assert!(share >= 0.95, "{name}: {right} of {estimated}");
     }
 }
@@ -247,12 +265,18 @@ fn an_inertial_unit_whose_delay_is_known_is_within_a_millisecond() {
 fn clocks_that_are_right_are_not_worth_a_word_and_change_nothing() {
     let messages = || drive(&mut Draws(ChaCha8Rng::seed_from_u64(1)), Clocks::right(), 20);
     let usual = run(Settings::default(), messages());
-    assert!(usual.clocks.iter().all(|clock| !clock.is_notable()), "{:?}", usual.clocks);
+    assert!(
+        usual.clocks.iter().all(|clock| !clock.is_notable()),
+        "{:?}",
+        usual.clocks
+    );
     for rule in [StampRule::Drop, StampRule::Rebase, StampRule::Trust] {
         let ran = run(with(rule), messages());
         assert_eq!((ran.sweeps, ran.counted), (usual.sweeps.clone(), [0; 3]), "{rule:?}");
     }
-    let without_motion = messages().into_iter().filter(|message| message.header.kind != Kind::Motion);
+    let without_motion = messages()
+        .into_iter()
+        .filter(|message| message.header.kind != Kind::Motion);
     let ran = run(Settings::default(), without_motion.collect());
     assert_eq!(ran.sweeps, usual.sweeps);
 }
@@ -289,14 +313,25 @@ fn a_clock_that_steps_is_named_and_taken_back() {
         let rebased = run(with(StampRule::Rebase), messages());
         let [steps, moved, left_out] = rebased.counted;
         assert_eq!(steps, 2, "{step}: of sweeps and of poses");
-        assert!(moved >= 150 && (1..=40).contains(&left_out), "{step}: {moved}, {left_out}");
+        assert!(
+            moved >= 150 && (1..=40).contains(&left_out),
+            "{step}: {moved}, {left_out}"
+        );
         // Delays of 5 ms and more make a step a little unsure.
         let off = |from: u64| {
             let sweeps = rebased.sweeps.iter().filter(|(number, _)| *number >= from);
-            sweeps.map(|(number, stamp)| (stamp - truth(*number)).abs()).max().unwrap()
+            sweeps
+                .map(|(number, stamp)| (stamp - truth(*number)).abs())
+                .max()
+                .unwrap()
         };
         assert!(rebased.sweeps.len() >= 180, "{step}: {}", rebased.sweeps.len());
-        assert!(off(0) <= 50 * MS && off(170) <= 10 * MS, "{step}: {} {}", off(0), off(170));
+        assert!(
+            off(0) <= 50 * MS && off(170) <= 10 * MS,
+            "{step}: {} {}",
+            off(0),
+            off(170)
+        );
         assert!(rebased.sweeps.is_sorted_by_key(|(_, stamp)| *stamp));
         let lidar = of(&rebased, "lidar");
         assert!(lidar.is_notable() && lidar.faults["stamp_jump"] == 1, "{lidar:?}");
@@ -328,8 +363,15 @@ fn clocks_that_count_something_else_are_named_and_handled() {
         let rebased = run(with(StampRule::Rebase), messages());
         assert_eq!(rebased.sweeps.len(), 150, "{counts}");
         // A clock that counts something unknown is right to the delay of the first message.
-        let slack = if ["boot", "other"].contains(&counts) { 110 * MS } else { 0 };
-        let off = rebased.sweeps.iter().map(|(number, stamp)| (stamp - truth(*number)).abs());
+        let slack = if ["boot", "other"].contains(&counts) {
+            110 * MS
+        } else {
+            0
+        };
+        let off = rebased
+            .sweeps
+            .iter()
+            .map(|(number, stamp)| (stamp - truth(*number)).abs());
         assert!(off.max().unwrap() <= slack, "{counts}");
         for sensor in ["lidar", "poses", "imu"] {
             let clock = of(&rebased, sensor);
@@ -349,9 +391,27 @@ fn clocks_that_count_something_else_are_named_and_handled() {
 #[test]
 fn delays_that_are_none_are_refused() {
     for (settings, name) in [
-        (Settings { imu_delay_ms: vec![4.0, 0.0], ..Settings::default() }, "imu_delay_ms"),
-        (Settings { lidar_delay_ms: vec![1.0], ..Settings::default() }, "lidar_delay_ms"),
-        (Settings { lidar_delay_ms: vec![0.0, f64::NAN], ..Settings::default() }, "lidar_delay_ms"),
+        (
+            Settings {
+                imu_delay_ms: vec![4.0, 0.0],
+                ..Settings::default()
+            },
+            "imu_delay_ms",
+        ),
+        (
+            Settings {
+                lidar_delay_ms: vec![1.0],
+                ..Settings::default()
+            },
+            "lidar_delay_ms",
+        ),
+        (
+            Settings {
+                lidar_delay_ms: vec![0.0, f64::NAN],
+                ..Settings::default()
+            },
+            "lidar_delay_ms",
+        ),
     ] {
         let error = Sync::new(settings).err().unwrap().to_string();
         assert!(error.contains(name), "{error}");

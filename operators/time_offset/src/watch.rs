@@ -225,6 +225,11 @@ impl StampWatch {
         self.clock.as_ref().map(|clock| clock.epoch)
     }
 
+    /// What is added to the clock's stamps to have them right, ns; 0 before its first message.
+    pub fn shift(&self) -> Nanos {
+        self.clock.as_ref().map_or(0, |clock| clock.shift)
+    }
+
     /// By how much the clock stepped last, ns; 0 where it never did.
     pub fn last_step(&self) -> Nanos {
         self.last_step

@@ -42,7 +42,9 @@ impl Registrar {
         let mut best: Option<(Progress, [u32; 2])> = None;
         for pose in far_apart(starts(map, levels[0], &few, guess)) {
             let mut progress = Progress::at(pose);
-            levels.iter().for_each(|level| self.run(&few, &mut progress, &on(level)));
+            levels
+                .iter()
+                .for_each(|level| self.run(&few, &mut progress, &on(level)));
             self.run(&few, &mut progress, &self.tracking(map));
             let fit = fit(&progress.sums);
             if best.as_ref().is_none_or(|(_, known)| fit > *known) {
@@ -89,7 +91,11 @@ fn starts(map: &VoxelMap, coarse: &VoxelMap, sample: &Sample, guess: &Isometry3<
         for x in -most..=most {
             for y in -most..=most {
                 let [shift, heading] = [APART[0] * map.info().voxel_m, APART[1].to_radians()];
-                let pose = moved(guess, [f64::from(x) * shift, f64::from(y) * shift], f64::from(turn) * heading);
+                let pose = moved(
+                    guess,
+                    [f64::from(x) * shift, f64::from(y) * shift],
+                    f64::from(turn) * heading,
+                );
                 let Some(placed) = Placed::new(coarse, &pose) else {
                     continue;
                 };

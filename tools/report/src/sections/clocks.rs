@@ -26,7 +26,9 @@ pub(super) fn clocks(rows: &mut Rows, full: bool) {
             true => apart(run, &agent),
             false => {
                 let mut clocks = run.result.clocks.iter();
-                clocks.find(|clock| clock.agent == agent && clock.sensor == sensor).map(words)
+                clocks
+                    .find(|clock| clock.agent == agent && clock.sensor == sensor)
+                    .map(words)
             }
         });
     }
@@ -38,7 +40,9 @@ pub fn said(run: &Run) -> String {
         let mut clocks = run.result.clocks.iter();
         let words = match sensor.is_empty() {
             true => apart(run, &agent),
-            false => clocks.find(|clock| clock.agent == agent && clock.sensor == sensor).map(words),
+            false => clocks
+                .find(|clock| clock.agent == agent && clock.sensor == sensor)
+                .map(words),
         };
         Some(format!("{agent} {sensor}").trim_end().to_string() + ": " + &words?)
     });
@@ -48,7 +52,9 @@ pub fn said(run: &Run) -> String {
 /// Agent and sensor of each row of a run; no sensor where a whole agent is meant.
 fn labels(run: &Run, full: bool) -> BTreeSet<(String, String)> {
     let clocks = run.result.clocks.iter().filter(|clock| full || clock.is_notable());
-    let mut labels: BTreeSet<_> = clocks.map(|clock| (clock.agent.clone(), clock.sensor.clone())).collect();
+    let mut labels: BTreeSet<_> = clocks
+        .map(|clock| (clock.agent.clone(), clock.sensor.clone()))
+        .collect();
     let losses = run.result.nodes.values().flat_map(|node| &node.losses);
     let losses = losses.filter(|(counter, _)| APART.iter().any(|(known, _)| known == counter));
     let agents = losses.flat_map(|(_, loss)| loss.worth_a_note().map(|(agent, _)| agent.to_string()));
@@ -68,9 +74,11 @@ fn apart(run: &Run, agent: &str) -> Option<String> {
 
 /// Offset, what it is from, and what is wrong.
 fn words(clock: &SensorClock) -> String {
-    let mut words = match clock.offset_ms.zip(clock.bound_ms) {
-        Some((offset, bound)) => vec![format!("{offset:+.1} ± {bound:.1}")],
-        None => vec!["offset unknown".into()],
+    let mut words = match (clock.offset_ms, clock.bound_ms) {
+        (Some(offset), Some(bound)) => vec![format!("{offset:+.1} ± {bound:.1}")],
+        // As the player has found it by the log's times.
+        (Some(offset), None) => vec![format!("{offset:+.1}")],
+        (None, _) => vec!["offset unknown".into()],
     };
     if clock.by == Some(OffsetBy::Motion) {
         words.push("by motion".into());
@@ -141,7 +149,12 @@ mod tests {
             ..Options::default()
         };
         let table = shown(&[("late", &first), ("none", &second)], &options);
-        for part in ["clocks: to be added to stamps", "cav2 imu", "-80.0 ± 2.5", "counts TAI, stepped by +600"] {
+        for part in [
+            "clocks: to be added to stamps",
+            "cav2 imu",
+            "-80.0 ± 2.5",
+            "counts TAI, stepped by +600",
+        ] {
             assert!(table.contains(part), "no `{part}` in {table}");
         }
         assert!(!table.contains("cav1 imu"), "{table}");
@@ -149,7 +162,10 @@ mod tests {
         assert!(shown(&[("late", &first), ("none", &second)], &full).contains("cav1 imu"));
         let three = [("late", &first), ("none", &second), ("other", &second)];
         let list = shown(&three, &options);
-        assert!(list.contains("clocks (late), to be added to stamps") && list.contains("cav2 imu: -80.0"), "{list}");
+        assert!(
+            list.contains("clocks (late), to be added to stamps") && list.contains("cav2 imu: -80.0"),
+            "{list}"
+        );
         assert!(!shown(&[("none", &second)], &options).contains("clocks"));
     }
 }
