@@ -203,6 +203,98 @@ pub struct Peer {
     pub course: Vec<Phase>,
 }
 
+/// How the offset of a sensor's clock was found.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum OffsetBy {
+    /// By when its messages arrived.
+    Arrival,
+    /// By the turning that another sensor of the agent saw too, and when messages of that one arrived.
+    Motion,
+}
+
+/// What a stage knows at the end of the clock of one sensor of an agent.
+#[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct SensorClock {
+    /// The agent.
+    pub agent: String,
+    /// The sensor: `lidar`, `poses`, `imu`, `gnss` or `wheels`.
+    pub sensor: String,
+    /// Messages that came.
+    pub messages: u64,
+    /// What is to be added to its stamps to have the time by which messages arrive, ms; `None` while nothing shows it.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub offset_ms: Option<f64>,
+    /// The truth lies within so much of it in at least 95 % of cases, ms.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub bound_ms: Option<f64>,
+    /// How fast it changes, ms in a second.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub drift_ms_s: Option<f64>,
+    /// Where these three are from.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub by: Option<OffsetBy>,
+    /// Of an IMU: what is to be added to its stamps to have those of the poses, by the turning that both see, ms.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub to_poses_ms: Option<f64>,
+    /// The truth lies within so much of it in at least 95 % of cases, ms.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub to_poses_bound_ms: Option<f64>,
+    /// Whether arrivals and motion contradict each other.
+    #[serde(default, skip_serializing_if = "std::ops::Not::not")]
+    pub contradicted: bool,
+    /// What the clock counts, where that is not the time by which messages arrive: `tai`, `gps`, `boot`, `weeks` or `other`.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub counts: Option<String>,
+    /// By how much it stepped last, ms; above 0 ahead.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub step_ms: Option<f64>,
+    /// Messages by what is wrong with their stamps.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub faults: BTreeMap<String, u64>,
+}
+
+/// Offsets below this are not worth a word, ms.
+const SMALL_MS: f64 = 1.0;
+
+impl SensorClock {
+    /// Whether it is surely off, steps, stands still or contradicts itself.
+    pub fn is_notable(&self) -> bool {
+        let off = self.offset_ms.zip(self.bound_ms);
+        let apart = self.to_poses_ms.zip(self.to_poses_bound_ms);
+        let surely = |(offset, bound): (f64, f64)| offset.abs() > bound + SMALL_MS;
+        // A stamp now and then that comes twice is counted where it is left out.
+        let often = |(fault, count): (&String, &u64)| match fault.as_str() {
+            "stamp_repeated" | "stamp_backwards" | "stamp_ahead" => count.saturating_mul(20) > self.messages,
+            _ => true,
+        };
+        self.contradicted
+            || self.counts.is_some()
+            || off.is_some_and(surely)
+            || apart.is_some_and(surely)
+            || self.faults.iter().any(often)
+    }
+
+    /// Adds what another run found of the same clock: faults of both, and the offset that is more surely one.
+    pub fn add(&mut self, other: &SensorClock) {
+        let surely = |clock: &SensorClock| {
+            let [offset, bound] = [clock.offset_ms, clock.bound_ms].map(|value| value.unwrap_or(0.0));
+            offset.abs() - bound
+        };
+        let mut faults = std::mem::take(&mut self.faults);
+        for (fault, count) in &other.faults {
+            let known = faults.entry(fault.clone()).or_default();
+            *known = known.saturating_add(*count);
+        }
+        let messages = self.messages.saturating_add(other.messages);
+        if (other.is_notable(), surely(other)) > (self.is_notable(), surely(self)) || self.offset_ms.is_none() {
+            self.clone_from(other);
+        }
+        (self.faults, self.messages) = (faults, messages);
+    }
+}
+
 /// What a way between agents is like from a time on.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
@@ -282,6 +374,33 @@ mod tests {
     fn only_what_crossed_a_link_is_a_crossing() {
         assert_eq!(Crossing::of(&header(Some("cav1"))), Some(crossing()));
         assert_eq!(Crossing::of(&header(None)), None);
+    }
+
+    #[test]
+    fn clocks_are_notable_where_they_are_surely_off() {
+        let clock = |offset: f64, faults: &[(&str, u64)]| SensorClock {
+            agent: "cav1".into(),
+            sensor: "imu".into(),
+            messages: 100,
+            offset_ms: Some(offset),
+            bound_ms: Some(3.0),
+            faults: faults.iter().map(|(fault, n)| (fault.to_string(), *n)).collect(),
+            ..SensorClock::default()
+        };
+        for (offset, faults, expected) in [
+            (-3.9, &[][..], false),
+            (4.1, &[], true),
+            (0.0, &[("stamp_repeated", 5)], false),
+            (0.0, &[("stamp_repeated", 6)], true),
+            (0.0, &[("stamp_jump", 1)], true),
+        ] {
+            assert_eq!(clock(offset, faults).is_notable(), expected, "{offset} {faults:?}");
+        }
+        let mut sum = clock(1.0, &[("stamp_jump", 1)]);
+        sum.add(&clock(-80.0, &[("stamp_jump", 2), ("stamp_tai", 3)]));
+        sum.add(&clock(0.5, &[]));
+        assert_eq!((sum.offset_ms, sum.messages), (Some(-80.0), 300));
+        assert_eq!(sum.faults.values().copied().collect::<Vec<_>>(), [3, 3]);
     }
 
     #[test]

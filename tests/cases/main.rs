@@ -10,6 +10,7 @@ mod doors;
 mod faults;
 mod growth;
 mod life;
+mod offsets;
 mod plugins;
 mod refused;
 mod scene;

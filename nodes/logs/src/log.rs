@@ -13,6 +13,7 @@ use crate::cdr::CdrReader;
 use crate::geodesy::MapOrigin;
 use crate::info::{CLOCKS, END_RECORD, LEVELLED, LOG_RECORD};
 use crate::mcap_file::{ChannelInfo, McapFile, Truncation};
+use crate::rebase::Rebased;
 use crate::repeats::Repeats;
 use crate::stamps::Stamps;
 use crate::sweeps::{Context, NoCloud, SweepsInfo};
@@ -31,6 +32,8 @@ pub struct Log {
     truncation: Option<Truncation>,
     streams: BTreeMap<(String, Stream), Vec<u16>>,
     context: Arc<Context>,
+    /// How stamps are put right, where somebody asked for it.
+    pub(crate) rebased: Option<Arc<Rebased>>,
 }
 
 impl Log {
@@ -82,6 +85,7 @@ impl Log {
             info,
             truncation,
             streams,
+            rebased: None,
         })
     }
 
@@ -291,9 +295,23 @@ impl Log {
             channels,
             ahead: None,
             instant: VecDeque::new(),
-            repeats: Repeats::default(),
+            repeats: Some(Repeats::default()),
             stamps: Stamps::default(),
+            rebased: self.rebased.clone(),
             context: self.context.clone(),
+        })
+    }
+
+    /// All messages of the wanted streams with the stamps that they have, whether or not these rise.
+    ///
+    /// # Errors
+    /// As [`Log::read`].
+    pub(crate) fn read_unjudged(&self, wanted: &[(&str, Stream)]) -> Result<LogReader, LogError> {
+        let reader = self.read_all(wanted)?;
+        Ok(LogReader {
+            repeats: None,
+            rebased: None,
+            ..reader
         })
     }
 

@@ -3,7 +3,7 @@
 use realo_schemas::geometry::PoseTrack;
 use realo_schemas::{AgentState, Nanos, is_same_stamp};
 
-use crate::{AgentKind, Log, LogError, Stream};
+use crate::{AgentKind, Log, LogError, LogReader, Stream};
 
 /// Poses that are farther apart are not bridged by default, ns: the setting `max_gap_ms` of the operator `sync`.
 pub const MAX_GAP: Nanos = 150_000_000;
@@ -27,15 +27,23 @@ impl Standing {
     /// # Errors
     /// A log that cannot be read.
     pub fn read(log: &Log, agent: &str, stream: Stream) -> Result<Option<Self>, LogError> {
-        let is_roadside = log
-            .info()
-            .agent(agent)
-            .is_some_and(|info| info.kind == AgentKind::Roadside);
-        if !is_roadside || !log.has(agent, stream) {
-            return Ok(None);
+        match is_roadside(log, agent) && log.has(agent, stream) {
+            true => Standing::of(log.read_all(&[(agent, stream)])?),
+            false => Ok(None),
         }
+    }
+
+    /// Whether an agent stands still by poses whose stamps may be wrong.
+    ///
+    /// # Errors
+    /// As [`Standing::read`].
+    pub(crate) fn is_without_stamps(log: &Log, agent: &str, stream: Stream) -> Result<bool, LogError> {
+        let stands = || Ok(Standing::of(log.read_unjudged(&[(agent, stream)])?)?.is_some());
+        if is_roadside(log, agent) { stands() } else { Ok(false) }
+    }
+
+    fn of(mut reader: LogReader) -> Result<Option<Self>, LogError> {
         let (mut first, mut stamps): (Option<AgentState>, _) = (None, Vec::new());
-        let mut reader = log.read_all(&[(agent, stream)])?;
         while let Some(entry) = reader.next()? {
             // What is no pose is counted when the log is played.
             let Ok(state) = entry.pose() else { continue };
@@ -49,6 +57,11 @@ impl Standing {
         stamps.sort_unstable();
         Ok(first.map(|state| Standing { state, stamps }))
     }
+}
+
+fn is_roadside(log: &Log, agent: &str) -> bool {
+    let info = log.info().agent(agent);
+    info.is_some_and(|info| info.kind == AgentKind::Roadside)
 }
 
 fn is_same(one: &AgentState, other: &AgentState) -> bool {

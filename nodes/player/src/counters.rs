@@ -3,6 +3,7 @@
 use std::sync::{Arc, Mutex, MutexGuard};
 
 use realo_operator::{Counter, Counts};
+use realo_schemas::report::SensorClock;
 
 /// What was counted, for the thread that reads ahead and for who asks.
 #[derive(Clone, Default)]
@@ -21,6 +22,11 @@ impl Counters {
         if n > 0 {
             counts.found(counter, agent, found);
         }
+    }
+
+    /// Says what is known of a sensor's clock.
+    pub fn clock(&self, clock: SensorClock) {
+        self.lock().clocks.push(clock);
     }
 
     /// What was lost of an agent so far.
@@ -71,6 +77,8 @@ pub const ALL: &[Counter] = &[
     TILTED_POSES,
     CLOCK_OFF,
     CLOCK_AHEAD,
+    STAMPS_REBASED,
+    STAMPS_LEFT_OUT,
     STAMPS_DIFFER,
     NO_COMMON_TIME,
     SWEEPS_MISSING,
@@ -167,6 +175,19 @@ pub const CLOCK_OFF: Counter = Counter::log_fault(
     "messages were left out, because their stamps are of another clock than that of the log",
     "set the sensor's clock to the recorder's, or take that difference from the stamps when the log is written \
      (docs/reference/log-format.md, \"Clocks\")",
+);
+pub const STAMPS_REBASED: Counter = Counter::loss(
+    "stamps_rebased",
+    "messages that got another stamp, because the clock that gave theirs steps or counts something else (`stamps=rebase`)",
+    "messages got other stamps, because the clock that gave theirs steps or counts something else than the log's times",
+    "set the sensor's clock; `--stamps drop` leaves them out",
+);
+pub const STAMPS_LEFT_OUT: Counter = Counter::loss(
+    "stamps_left_out",
+    "messages not sent, because their stamps repeat, run backwards, stand still, are early, or with `stamps=drop` follow a step of the \
+     clock",
+    "messages were left out, because their stamps are wrong and nothing is to say what is right",
+    "look at the program that gives the stamps; `--stamps rebase` leaves out only what nothing can date",
 );
 pub const CLOCK_AHEAD: Counter = Counter::log_fault(
     "clock_ahead",

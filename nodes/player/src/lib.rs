@@ -20,16 +20,17 @@ use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 use std::thread;
 
-use realo_logs::{Log, LogError, Stream};
+use realo_logs::{Log, LogError, RebasedStream, Stream};
 use realo_operator::{Counts, Describe, Error, NoInput, Outputs, Settings, Source};
 use realo_schemas::{
     AgentState, Boxes, Clock, GroundTruth, Header, Kind, Motion, Name, Nanos, Packet, PointCloud, from_seconds,
 };
+use realo_time_offset::StampRule;
 use rustix::process::{getpriority_process, setpriority_process};
 use serde::{Deserialize, Serialize};
 
 use ahead::{Taker, ahead};
-use counters::{Counters, LOG_TRUNCATED, RUNS_ALONE};
+use counters::{Counters, LOG_TRUNCATED, RUNS_ALONE, STAMPS_LEFT_OUT, STAMPS_REBASED};
 pub use error::PlayerError;
 pub use feed::sweeps_per_pass;
 use feed::{Feed, Release, Script};
@@ -132,6 +133,10 @@ pub struct Settings {
     /// Recorded detections: `optional`, `required` or `off`.
     #[setting(default = Detections::Optional, role = "detections")]
     pub detections: Detections,
+    /// Messages whose stamps are wrong: `drop_far` leaves out what is seconds off, `drop` also what repeats, runs backwards, stands
+    /// still or follows a step of the clock, `rebase` gives stamps by the log's times, `trust` plays all as they are.
+    #[setting(role = "stamps")]
+    pub stamps: StampRule,
     /// IMU, satellite receiver and wheels: `optional`, `required` or `off`.
     #[setting(default = MotionSensors::Optional)]
     pub motion: MotionSensors,
@@ -376,7 +381,10 @@ fn feed(settings: &Settings, counters: &Counters) -> Result<(Feed, PlannedRun), 
     if !settings.log.exists() {
         return Err(PlayerError::NoLog(settings.log.clone()).into());
     }
-    let log = Log::open(&settings.log)?;
+    let mut log = Log::open(&settings.log)?;
+    if matches!(settings.stamps, StampRule::Drop | StampRule::Rebase) {
+        count_rebased(&log.rebase(settings.stamps.handling())?, counters);
+    }
     if log.truncation().is_some() {
         counters.add(&LOG_TRUNCATED, "", 1, 0);
     }
@@ -401,6 +409,7 @@ fn feed(settings: &Settings, counters: &Counters) -> Result<(Feed, PlannedRun), 
         points: settings.points,
         detections: settings.detections != Detections::Off,
         motion: settings.motion != MotionSensors::Off,
+        trusts_stamps: settings.stamps == StampRule::Trust,
         precomputed: settings.precomputed,
         fused_at_most: settings.fused_at_most,
         alone: !settings.agent.is_empty(),
@@ -411,6 +420,17 @@ fn feed(settings: &Settings, counters: &Counters) -> Result<(Feed, PlannedRun), 
         counters: counters.clone(),
     };
     Ok((Feed::new(script)?, cast))
+}
+
+/// Counts the messages of all agents that get other stamps, or are left out for theirs.
+fn count_rebased(streams: &[RebasedStream], counters: &Counters) {
+    for of in streams {
+        let counts = [(&STAMPS_REBASED, of.moved), (&STAMPS_LEFT_OUT, of.left_out)];
+        for (counter, n) in counts {
+            counters.lost(counter, &of.agent, n, of.messages, || of.found.clone());
+        }
+        counters.clock(of.clock.clone());
+    }
 }
 
 /// What no range says, of everything but the log, which may not be made yet.

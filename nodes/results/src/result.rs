@@ -3,7 +3,7 @@ mod books;
 use std::collections::BTreeMap;
 
 use realo_operator::{Counts, Loss, Meaning};
-use realo_schemas::report::Peer;
+use realo_schemas::report::{Peer, SensorClock};
 use realo_scoring::{
     Accuracy, Dropped, Ignored, Intervals, Orders, PointsBin, RangeBin, Scores, Table, TrackScores, score,
 };
@@ -84,6 +84,9 @@ pub struct RunResult {
     /// Agents on other machines, as the ego knew them at the end; of pooled runs all of them.
     #[serde(default)]
     pub peers: Vec<Peer>,
+    /// The clocks of agents' sensors, by agent and sensor, as they were found at the end.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub clocks: Vec<SensorClock>,
     /// Ages of the data that were used.
     pub age_ms: AgeTable,
     /// What dora did not deliver, or not once and in order.
@@ -276,10 +279,20 @@ impl RunResult {
             links: BTreeMap::new(),
             cooperation: None,
             peers: Vec::new(),
+            clocks: Vec::new(),
             age_ms: AgeTable::default(),
             transport: Transport::default(),
             nodes: BTreeMap::new(),
             notes: Vec::new(),
+        }
+    }
+
+    /// Adds what is known of a clock: of each sensor of an agent there is one entry, in the order of their names.
+    pub fn add_clock(&mut self, clock: &SensorClock) {
+        let of = |clock: &SensorClock| (clock.agent.clone(), clock.sensor.clone());
+        match self.clocks.binary_search_by_key(&of(clock), of) {
+            Ok(at) => self.clocks[at].add(clock),
+            Err(at) => self.clocks.insert(at, clock.clone()),
         }
     }
 

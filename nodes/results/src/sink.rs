@@ -306,6 +306,7 @@ fn take_books(result: &mut RunResult, books: &Books) {
             losses: node.losses.iter().filter_map(happened).collect(),
             ..NodeSummary::default()
         };
+        node.clocks.iter().for_each(|clock| result.add_clock(clock));
         let busy = skipped_of_others(node, &result.egos);
         summary.losses.extend(happened((&"skipped".into(), &busy)));
         for (port, input) in &node.inputs {

@@ -1,10 +1,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use hdrhistogram::Histogram;
-use realo_schemas::report::{Channel, Fate};
+use realo_schemas::report::{Channel, Fate, SensorClock};
 use realo_schemas::{Kind, Message, Nanos};
 use serde::{Deserialize, Serialize};
 
+use crate::counter::newest;
 use crate::{Counts, Loss};
 
 /// What the nodes of a graph counted; travels in `end` and meets in the sinks.
@@ -37,6 +38,9 @@ pub struct NodeBooks {
     /// More about those of them that are losses, and about losses that have not happened.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub losses: BTreeMap<String, Loss>,
+    /// What it knows of the clocks of agents' sensors.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub clocks: Vec<SensorClock>,
     /// What fates mean at this node.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
     pub explained: BTreeMap<Fate, String>,
@@ -75,6 +79,7 @@ impl NodeBooks {
         for (counter, loss) in counts.losses {
             self.losses.entry(counter.into_owned()).or_default().add(&loss);
         }
+        newest(&mut self.clocks, counts.clocks);
     }
 
     /// Counts what a channel carried.

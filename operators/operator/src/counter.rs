@@ -1,6 +1,7 @@
 use std::borrow::Cow;
 use std::collections::BTreeMap;
 
+use realo_schemas::report::SensorClock;
 use serde::{Deserialize, Serialize};
 
 /// What a count above 0 means to whoever reads a result.
@@ -75,6 +76,8 @@ pub struct Counts {
     pub counters: BTreeMap<Cow<'static, str>, u64>,
     /// More about those that are losses.
     pub losses: BTreeMap<Cow<'static, str>, Loss>,
+    /// What it knows of clocks; of each sensor the newest counts.
+    pub clocks: Vec<SensorClock>,
 }
 
 /// A counter that is a loss, with its words: results need not know the stage.
@@ -199,11 +202,23 @@ impl Counts {
         for (counter, loss) in other.losses {
             self.losses.entry(counter).or_default().add(&loss);
         }
+        newest(&mut self.clocks, other.clocks);
     }
 
     /// A counter's value.
     pub fn get(&self, counter: &str) -> u64 {
         self.counters.get(counter).copied().unwrap_or(0)
+    }
+}
+
+/// Puts what is known of clocks in the place of what was known before.
+pub(crate) fn newest(known: &mut Vec<SensorClock>, newer: Vec<SensorClock>) {
+    for clock in newer {
+        let same = |old: &&mut SensorClock| (&old.agent, &old.sensor) == (&clock.agent, &clock.sensor);
+        match known.iter_mut().find(same) {
+            Some(old) => *old = clock,
+            None => known.push(clock),
+        }
     }
 }
 

@@ -3,7 +3,7 @@ use std::marker::PhantomData;
 use std::sync::Arc;
 use std::{fmt, mem};
 
-use realo_schemas::report::{Channel, Crossing, Fate, Fated, Traffic, Use};
+use realo_schemas::report::{Channel, Crossing, Fate, Fated, SensorClock, Traffic, Use};
 use realo_schemas::{Clock, Header, Kind, Message, Name, Nanos};
 
 use crate::{Counter, Counts, PortId, StageInputs, StageOutputs, StageSettings, Steps};
@@ -359,6 +359,16 @@ impl<O> Outputs<O> {
     /// Says what was found of the first that an agent lost; see [`Counts::found`](crate::Counts::found).
     pub fn found(&mut self, counter: &'static Counter, agent: &str, words: impl FnOnce() -> String) {
         self.made.counts.found(counter, agent, words);
+    }
+
+    /// Says what is known of the clock of an agent's sensor; of each sensor the newest counts.
+    pub fn clock(&mut self, clock: SensorClock) {
+        self.made.counts.clocks.push(clock);
+    }
+
+    /// What was said of clocks in this call.
+    pub fn clocks(&self) -> &[SensorClock] {
+        &self.made.counts.clocks
     }
 
     /// Says what a fate means at this stage, by its settings, for notes: `Stale` is "older than 400 ms".

@@ -1,5 +1,7 @@
 //! Where a sweep was taken, by a map.
 
+mod wide;
+
 use nalgebra::{Isometry3, Matrix6, Quaternion, Translation3, UnitQuaternion, Vector3};
 use rayon::prelude::*;
 use realo_schemas::PointCloud;
@@ -13,16 +15,9 @@ use crate::sample::{Sample, Sampler};
 
 /// Largest turn of one step, rad; the largest shift is a voxel.
 const MAX_TURN: f64 = 0.1;
-/// Shares of all iterations after which a wide search goes on with voxels of twice and of once the map's size.
-const LEVELS: [f64; 2] = [0.4, 0.6];
 /// Tracking begins with a kernel this many times as wide, for guesses are off by more than sensors are, and narrows it by a factor.
 const WIDENING: f64 = 2.5;
 const NARROWING: f64 = 0.6;
-/// Widths of the kernel of a wide search, first and last, in voxels, and the factor from one step to the next.
-const WIDE_WIDTHS: [f64; 2] = [0.75, 0.2];
-const WIDE_NARROWING: f64 = 0.7;
-/// The last step of a stage of a wide search for voxels of 1 m: m, degrees.
-const WIDE_STOP: [f64; 2] = [0.02, 0.05];
 /// Distances have at least this variance, m²: sensors and maps are not better than 2 cm.
 const MIN_VARIANCE: f64 = 0.02 * 0.02;
 
@@ -37,7 +32,7 @@ pub struct RegistrarSettings {
     pub min_points: u32,
     /// Width of the Geman-McClure kernel, m; 0.01 to 10.
     pub kernel_m: f64,
-    /// Iterations at most; 1 to 1,000.
+    /// Iterations of tracking at most; 1 to 1,000.
     pub max_iterations: u32,
     /// A step that is shorter, and turns by less, is the last: m; 1e-6 to 1.
     pub stop_m: f64,
@@ -91,8 +86,9 @@ impl RegistrarSettings {
 pub enum Search {
     /// Within half a voxel or so: planes, each in a point's own voxel.
     Track,
-    /// Within some voxels, at the start and after a loss: distributions in seven voxels that are four times as wide, then twice; then as
-    /// [`Search::Track`].
+    /// Within five voxels and ten degrees of heading, at the start and after a loss: starts on a grid are compared on voxels that are
+    /// four times as wide; the best go on with distributions in seven voxels, ever smaller, then as [`Search::Track`]; the one that
+    /// fits best in the end counts. It takes some fifty times as long.
     Wide,
 }
 
@@ -150,17 +146,29 @@ struct Stage<'a> {
     narrowing: f64,
     /// A step that is shorter, and turns by less, is the last: m, degrees.
     stop: [f64; 2],
-    /// All iterations of the search until then.
-    until: u32,
+    /// Iterations at most.
+    most: u32,
 }
 
 /// A pose on its way.
+#[derive(Clone, Debug)]
 struct Progress {
     pose: Isometry3<f64>,
     iterations: u32,
     converged: bool,
     /// Of the pose before the last step.
     sums: Sums,
+}
+
+impl Progress {
+    fn at(pose: Isometry3<f64>) -> Self {
+        Progress {
+            pose,
+            iterations: 0,
+            converged: false,
+            sums: Sums::default(),
+        }
+    }
 }
 
 impl Registrar {
@@ -209,34 +217,15 @@ impl Registrar {
                 range_m: self.settings.range_m,
             });
         }
-        let mut progress = Progress {
-            pose: *guess,
-            iterations: 0,
-            converged: false,
-            sums: Sums::default(),
-        };
-        if search == Search::Wide {
-            let twice = map.coarser();
-            for (map, share) in [twice.coarser(), twice].into_iter().zip(LEVELS) {
-                self.run(&sample, &mut progress, &self.wide(map, share));
+        let progress = match search {
+            Search::Track => {
+                let mut progress = Progress::at(*guess);
+                self.run(&sample, &mut progress, &self.tracking(map));
+                progress
             }
-        }
-        self.run(&sample, &mut progress, &self.tracking(map));
+            Search::Wide => self.search(map, &sample, guess),
+        };
         Ok(self.alignment(progress, sample.len()))
-    }
-
-    /// Distributions on a map with wider voxels, up to a share of all iterations.
-    fn wide<'a>(&self, map: &'a VoxelMap, share: f64) -> Stage<'a> {
-        let size = map.info().voxel_m;
-        Stage {
-            map,
-            is_wide: true,
-            widths: [WIDE_WIDTHS[0] * size, WIDE_WIDTHS[1] * size],
-            narrowing: WIDE_NARROWING,
-            // The next stage does the rest.
-            stop: [WIDE_STOP[0] * size, WIDE_STOP[1] * size],
-            until: (f64::from(self.settings.max_iterations) * share) as u32,
-        }
     }
 
     /// Planes in the map's own voxels.
@@ -248,7 +237,7 @@ impl Registrar {
             widths: [WIDENING * settings.kernel_m, settings.kernel_m],
             narrowing: NARROWING,
             stop: [settings.stop_m, settings.stop_deg],
-            until: settings.max_iterations,
+            most: settings.max_iterations,
         }
     }
 
@@ -256,7 +245,8 @@ impl Registrar {
     fn run(&self, sample: &Sample, progress: &mut Progress, stage: &Stage) {
         let [mut width, last_width] = stage.widths;
         progress.converged = false;
-        while !progress.converged && progress.iterations < stage.until {
+        let until = progress.iterations.saturating_add(stage.most);
+        while !progress.converged && progress.iterations < until {
             let kernel = Kernel {
                 width: width.max(last_width) as f32,
                 inlier: self.settings.kernel_m as f32,

@@ -29,6 +29,17 @@ impl Sample {
     pub fn is_empty(&self) -> bool {
         self.x.is_empty()
     }
+
+    /// At most about so many of its points, evenly chosen.
+    pub(crate) fn thinned(&self, most: usize) -> Sample {
+        let every = self.len().div_ceil(most.max(1)).max(1);
+        let of = |axis: &[f32]| axis.iter().step_by(every).copied().collect();
+        Sample {
+            x: of(&self.x),
+            y: of(&self.y),
+            z: of(&self.z),
+        }
+    }
 }
 
 /// Makes samples; keeps its memory from one to the next.

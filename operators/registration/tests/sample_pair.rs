@@ -58,29 +58,60 @@ fn map_of(cloud: &PointCloud) -> VoxelMap {
     builder.finish(|_, _| ()).unwrap()
 }
 
-#[test]
-fn the_pair_is_aligned_as_small_gicp_aligns_it() {
-    let Some(folder) = skipped::shared("data/registration") else {
-        return;
-    };
+struct Pair {
+    source: PointCloud,
+    map: VoxelMap,
+    expected: Isometry3<f64>,
+    registrar: Registrar,
+}
+
+fn pair() -> Option<Pair> {
+    let folder = skipped::shared("data/registration")?;
     let [source, target] = ["source.ply", "target.ply"].map(|name| ply(&folder.join(name)));
-    let expected = transform(&folder.join("T_target_source.txt"));
-    let map = map_of(&target);
     let settings = RegistrarSettings {
         sample_m: 0.25,
         range_m: [0.0, 100.0],
         ..RegistrarSettings::default()
     };
-    let mut registrar = Registrar::new(settings).unwrap();
-    // A wide search from here ends 1.2° off: it is for starts that tracking does not reach.
-    let alignment = registrar
-        .align(&map, &source, &Isometry3::identity(), Search::Track)
-        .unwrap();
-    let found = alignment.map_from_body;
-    let shift = (found.translation.vector - expected.translation.vector).norm();
-    let turn = found.rotation.angle_to(&expected.rotation).to_degrees();
-    assert!(
-        alignment.converged && shift < 0.05 && turn < 0.5,
-        "{shift} m, {turn}°: {alignment:?}"
-    );
+    Some(Pair {
+        source,
+        map: map_of(&target),
+        expected: transform(&folder.join("T_target_source.txt")),
+        registrar: Registrar::new(settings).unwrap(),
+    })
+}
+
+impl Pair {
+    /// Aligns from a guess; whether it ends at small_gicp's transform.
+    fn is_found(&mut self, guess: &Isometry3<f64>, search: Search) -> bool {
+        let alignment = self.registrar.align(&self.map, &self.source, guess, search).unwrap();
+        let found = alignment.map_from_body;
+        let shift = (found.translation.vector - self.expected.translation.vector).norm();
+        let turn = found.rotation.angle_to(&self.expected.rotation).to_degrees();
+        println!("{search:?}: {shift:.3} m, {turn:.3}°, {:.3}", alignment.structure_share);
+        alignment.converged && shift < 0.05 && turn < 0.5
+    }
+}
+
+#[test]
+fn the_pair_is_aligned_as_small_gicp_aligns_it() {
+    let Some(mut pair) = pair() else { return };
+    for search in [Search::Track, Search::Wide] {
+        assert!(pair.is_found(&Isometry3::identity(), search), "{search:?}");
+    }
+}
+
+#[test]
+fn a_wide_search_finds_it_from_five_metres_and_nine_degrees() {
+    let Some(mut pair) = pair() else { return };
+    let expected = pair.expected;
+    for k in 0..8 {
+        let angle = std::f64::consts::TAU * f64::from(k) / 8.0;
+        let yaw = if k % 2 == 0 { 9f64 } else { -9.0 }.to_radians();
+        let guess = Isometry3::from_parts(
+            (expected.translation.vector + 5.1 * Vector3::new(angle.cos(), angle.sin(), 0.0)).into(),
+            UnitQuaternion::from_scaled_axis(Vector3::z() * yaw) * expected.rotation,
+        );
+        assert!(pair.is_found(&guess, Search::Wide), "start {k}");
+    }
 }

@@ -8,11 +8,15 @@
 //!
 //! A log may have one pose for each sweep and none near it: that pose is exact, but nothing says how the agent moved;
 //! such a sweep passes as it is (`not_deskewed`), without velocity.
+//!
+//! Each sensor has a clock. Its stamps are watched, and handled as the setting `stamps` says; at the end the result has its offset with a
+//! bound: by the quickest messages, and of an inertial unit by the turning that the poses show too.
 
 mod agent_track;
 mod clean;
+mod clocks;
 mod operator;
 
 pub use agent_track::{AgentTrack, Pairing, PosePoint};
 pub use clean::{Cleaned, OwnBody, clean};
-pub use operator::{Settings, Sync};
+pub use operator::{Input, Output, Settings, Sync};

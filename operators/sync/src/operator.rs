@@ -1,10 +1,12 @@
 use std::collections::BTreeMap;
 
 use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings};
-use realo_schemas::{AgentState, Header, Kind, Name, Nanos, PointCloud, Pose};
+use realo_schemas::{AgentState, Header, Kind, Motion, Name, Nanos, PointCloud, Pose};
+use realo_time_offset::{StampFault, StampRule};
 use serde::{Deserialize, Serialize};
 
 use crate::agent_track::Unposed;
+use crate::clocks::{AgentClocks, ClockRules, Sensor, fault_words};
 use crate::{AgentTrack, Cleaned, OwnBody, Pairing, clean};
 
 const NANOS_PER_MILLI: Nanos = 1_000_000;
@@ -48,6 +50,24 @@ const NOT_DESKEWED: Counter = Counter::loss(
     "sweeps keep the distortion by the agent's motion, because no poses are known before and after them",
     "write poses at 10 Hz or more, from before the first sweep to after the last",
 );
+const CLOCK_STEPS: Counter = Counter::loss(
+    "clock_steps",
+    "steps of 0.2 s or more of the clocks that stamp sweeps and poses",
+    "times a clock stepped by 0.2 s or more, or messages began to arrive later by as much",
+    "set the clock before the run, and slowly during it; `--stamps rebase` gives stamps as if it had not stepped",
+);
+const STAMPS_REBASED: Counter = Counter::loss(
+    "stamps_rebased",
+    "sweeps and poses that got another stamp (`stamps=rebase`)",
+    "sweeps and poses got other stamps, because the clock that gave theirs steps or counts something else",
+    "set the sensor's clock; `--stamps drop` leaves them out",
+);
+const STAMPS_LEFT_OUT: Counter = Counter::loss(
+    "stamps_left_out",
+    "sweeps and poses dropped for their stamps (`stamps=drop` or `rebase`)",
+    "sweeps and poses were left out, because their stamps are wrong",
+    "set the sensor's clock; `--stamps rebase` gives stamps by their arrival, where a clock steps or counts something else",
+);
 
 /// Settings of sync.
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
@@ -65,6 +85,17 @@ pub struct Settings {
     /// Longest time between or beyond poses that is bridged, ms.
     #[setting(default = 150, range = 0..=3_600_000)]
     pub max_gap_ms: u32,
+    /// Messages whose stamps step, repeat, run backwards, stand still, count from boot, or are TAI, GPS time or 1,024 weeks off:
+    /// `drop_far` refuses stamps more than 1 s ahead and takes all others as they are, `drop` leaves them out, `rebase` gives stamps
+    /// by their arrival, `trust` takes all as they are.
+    #[setting(role = "stamps")]
+    pub stamps: StampRule,
+    /// Least time from a sweep's last point to its arrival, ms: from, to. An offset of the clock is known no better.
+    #[setting(default = vec![0.0, 200.0])]
+    pub lidar_delay_ms: Vec<f64>,
+    /// Least time from a sample of the inertial unit to its arrival, ms: from, to.
+    #[setting(default = vec![0.0, 4.0])]
+    pub imu_delay_ms: Vec<f64>,
 }
 
 /// What sync cannot take.
@@ -79,6 +110,11 @@ pub enum SyncError {
     /// An outline that is not one.
     #[error("setting `own_body`: expected x min, x max, y min, y max in metres, or [], found {0:?}")]
     OwnBody(Vec<f32>),
+    /// Delays that are none.
+    #[error(
+        "setting `{0}`: expected the smallest and the largest least delay in ms, such as [0, 4], each 0 to 10,000, found {1:?}"
+    )]
+    Delay(&'static str, Vec<f64>),
 }
 
 /// Orders sweeps, pairs them with poses, removes the agent's own motion and body from them.
@@ -90,11 +126,17 @@ pub enum SyncError {
     OUT_OF_ORDER,
     NO_POSE,
     LATE_POSE,
-    NOT_DESKEWED
+    NOT_DESKEWED,
+    CLOCK_STEPS,
+    STAMPS_REBASED,
+    STAMPS_LEFT_OUT
 ))]
 pub struct Sync {
     settings: SweepRules,
+    stamps: StampRule,
+    rules: ClockRules,
     tracks: BTreeMap<Name, AgentTrack>,
+    clocks: BTreeMap<Name, AgentClocks>,
 }
 
 #[derive(Clone, Copy)]
@@ -114,6 +156,9 @@ pub enum Input {
     /// Raw sweeps.
     #[port(latest)]
     Clouds(Header, PointCloud),
+    /// What motion sensors measured: the clock of the inertial unit is compared with that of the poses.
+    #[port(optional)]
+    Motion(Header, Motion),
 }
 
 /// What it sends.
@@ -126,13 +171,59 @@ pub enum Output {
 }
 
 impl Sync {
-    fn pose(&mut self, header: &Header, state: AgentState, out: &mut Outputs<Output>) -> Result<(), SyncError> {
+    /// The clocks of an agent.
+    fn clocks(&mut self, agent: &Name) -> &mut AgentClocks {
+        let rules = self.rules;
+        self.clocks
+            .entry(agent.clone())
+            .or_insert_with(|| AgentClocks::new(rules))
+    }
+
+    /// The stamp that a message goes on with; `None` for one that is left out, which is counted.
+    fn stamp(&mut self, sensor: Sensor, header: &Header, lasts: Nanos, out: &mut Outputs<Output>) -> Option<Nanos> {
+        let (agent, stamp, arrival) = (&header.agent, header.stamp, header.ready);
+        let watched = self.clocks(agent).take(sensor, stamp, lasts, arrival);
+        let is = |wrong: bool| u64::from(wrong);
+        let words = || fault_words(sensor, &watched, stamp, arrival);
+        for (counter, wrong) in [
+            (&CLOCK_STEPS, watched.fault == Some(StampFault::Jump)),
+            (&STAMPS_REBASED, watched.stamp.is_some_and(|right| right != stamp)),
+            (&STAMPS_LEFT_OUT, watched.stamp.is_none()),
+        ] {
+            out.count_of(
+                counter,
+                agent,
+                is(wrong),
+                if counter.name == CLOCK_STEPS.name { 0 } else { 1 },
+            );
+            if wrong {
+                out.found(counter, agent, words);
+            }
+        }
+        watched.stamp
+    }
+
+    /// Refuses a stamp that would block the agent's stream, unless all are to be trusted.
+    fn not_ahead(&self, header: &Header, now: Nanos) -> Result<(), SyncError> {
+        let ahead = header.stamp.saturating_sub(now);
+        if ahead > AHEAD && self.stamps != StampRule::Trust {
+            return Err(SyncError::Ahead(realo_schemas::to_seconds(ahead)));
+        }
+        Ok(())
+    }
+
+    fn pose(&mut self, mut header: Header, state: AgentState, out: &mut Outputs<Output>) -> Result<(), SyncError> {
         let t = &state.map_from_body.translation.vector;
         let q = state.map_from_body.rotation.quaternion();
         if !(t.iter().all(|v| v.is_finite()) && (q.norm() - 1.0).abs() < 1e-6) {
             return Err(SyncError::Pose(format!("{t:?} and {q:?}")));
         }
-        not_ahead(header, out.now())?;
+        let Some(stamp) = self.stamp(Sensor::Poses, &header, 0, out) else {
+            return Ok(());
+        };
+        self.clocks(&header.agent).turn_of_pose(header.stamp, &state);
+        header.stamp = stamp;
+        self.not_ahead(&header, out.now())?;
         let max_gap = self.settings.max_gap;
         let track = self
             .tracks
@@ -144,8 +235,13 @@ impl Sync {
         Ok(())
     }
 
-    fn cloud(&mut self, header: Header, cloud: PointCloud, out: &mut Outputs<Output>) -> Result<(), SyncError> {
-        not_ahead(&header, out.now())?;
+    fn cloud(&mut self, mut header: Header, cloud: PointCloud, out: &mut Outputs<Output>) -> Result<(), SyncError> {
+        let lasts = span(&cloud).map_or(0, |[_, last]| Nanos::from(last).max(0));
+        let Some(stamp) = self.stamp(Sensor::Lidar, &header, lasts, out) else {
+            return Ok(());
+        };
+        header.stamp = stamp;
+        self.not_ahead(&header, out.now())?;
         let max_gap = self.settings.max_gap;
         let track = self
             .tracks
@@ -247,12 +343,12 @@ fn count_pose(agent: &Name, [missing, late]: [u64; 2], out: &mut Outputs<Output>
     out.count_of(&LATE_POSE, agent, late, 1);
 }
 
-fn not_ahead(header: &Header, now: Nanos) -> Result<(), SyncError> {
-    let ahead = header.stamp.saturating_sub(now);
-    if ahead > AHEAD {
-        return Err(SyncError::Ahead(realo_schemas::to_seconds(ahead)));
+/// A range of least delays, ms.
+fn delay(name: &'static str, setting: &[f64]) -> Result<[f64; 2], SyncError> {
+    match *setting {
+        [from, to] if from >= 0.0 && from <= to && to <= 1e4 => Ok([from, to]),
+        _ => Err(SyncError::Delay(name, setting.into())),
     }
-    Ok(())
 }
 
 /// Min and max time of a sweep's points, ns from its stamp.
@@ -276,6 +372,12 @@ impl Operator for Sync {
         };
         let nanos = |millis: u32| Nanos::from(millis) * NANOS_PER_MILLI;
         let (patience, max_gap) = (nanos(settings.patience_ms), nanos(settings.max_gap_ms));
+        let rules = ClockRules {
+            handling: settings.stamps.handling(),
+            lidar_delay: delay("lidar_delay_ms", &settings.lidar_delay_ms)?,
+            imu_delay: delay("imu_delay_ms", &settings.imu_delay_ms)?,
+        };
+        let stamps = settings.stamps;
         let settings = SweepRules {
             own_body,
             deskew: settings.deskew,
@@ -284,14 +386,18 @@ impl Operator for Sync {
         };
         Ok(Sync {
             settings,
+            stamps,
+            rules,
             tracks: BTreeMap::new(),
+            clocks: BTreeMap::new(),
         })
     }
 
     fn on_input(&mut self, input: Input, out: &mut Outputs<Output>) -> Result<(), Error> {
         match input {
-            Input::Poses(header, state) => self.pose(&header, state, out)?,
+            Input::Poses(header, state) => self.pose(header, state, out)?,
             Input::Clouds(header, cloud) => self.cloud(header, cloud, out)?,
+            Input::Motion(header, motion) => self.clocks(&header.agent).take_motion(&header, &motion),
         }
         Ok(())
     }
@@ -307,6 +413,9 @@ impl Operator for Sync {
         for (agent, track) in &mut self.tracks {
             self.settings.release(track, out, true);
             settle(agent, track.unposed(), track.has_true_poses(), out);
+        }
+        for (agent, clocks) in &mut self.clocks {
+            clocks.report(agent).into_iter().for_each(|clock| out.clock(clock));
         }
         Ok(())
     }

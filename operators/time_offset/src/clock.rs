@@ -15,8 +15,10 @@ pub struct SensorClock {
 pub struct Judged {
     /// What it counts.
     pub epoch: Epoch,
-    /// The offset of the stamps that go on, with the smaller bound of both ways; `None` while neither shows it.
+    /// What is to be added to the sensor's own stamps, with the smaller bound of both ways; `None` while neither shows it.
     pub offset: Option<Offset>,
+    /// Whether motion gave it.
+    pub is_by_motion: bool,
     /// Whether arrivals and motion contradict each other: one of the two assumptions, the least delay or the common motion, is
     /// wrong.
     pub is_contradicted: bool,
@@ -33,38 +35,46 @@ impl SensorClock {
         }
     }
 
-    /// Takes a message: what its stamp is taken for.
-    pub fn take(&mut self, stamp: Nanos, arrival: Nanos) -> Watched {
+    /// Takes a message: what its stamp is taken for. `lasts`: measuring went on for so long after the stamp, ns, before which the
+    /// message cannot have arrived.
+    pub fn take(&mut self, stamp: Nanos, lasts: Nanos, arrival: Nanos) -> Watched {
         let watched = self.watch.take(stamp, arrival);
         if watched.is_new_clock {
             self.arrival.restart();
             self.motion = None;
         }
-        if let Some(stamp) = watched.stamp {
-            self.arrival.take(stamp, arrival);
+        if watched.is_of_the_clock() {
+            self.arrival.take(stamp.saturating_add(lasts), arrival);
         }
         watched
     }
 
-    /// Takes what motion says of the offset of the stamps that go on, against the reference clock.
+    /// Takes what motion says of the offset of the sensor's own stamps, against the reference clock.
     pub fn set_motion(&mut self, offset: Offset) {
         self.motion = Some(offset);
+    }
+
+    /// The offset by arrivals alone.
+    pub fn by_arrival(&self) -> Option<Offset> {
+        self.arrival.offset()
     }
 
     /// What is known of the clock; `None` before its first message.
     pub fn judged(&self) -> Option<Judged> {
         let epoch = self.watch.epoch()?;
         let arrival = self.arrival.offset();
-        let (offset, is_contradicted) = match (arrival, self.motion) {
+        let (offset, is_by_motion, is_contradicted) = match (arrival, self.motion) {
             (Some(arrival), Some(motion)) => {
-                let better = if motion.bound < arrival.bound { motion } else { arrival };
-                (Some(better), !motion.agrees(&arrival))
+                let is_better = motion.bound < arrival.bound;
+                let better = if is_better { motion } else { arrival };
+                (Some(better), is_better, !motion.agrees(&arrival))
             }
-            (arrival, motion) => (arrival.or(motion), false),
+            (arrival, motion) => (arrival.or(motion), arrival.is_none() && motion.is_some(), false),
         };
         Some(Judged {
             epoch,
             offset,
+            is_by_motion,
             is_contradicted,
         })
     }
@@ -72,5 +82,10 @@ impl SensorClock {
     /// What was wrong with stamps so far.
     pub fn faults(&self) -> StampFaults {
         self.watch.faults()
+    }
+
+    /// By how much the clock stepped last, ns; 0 where it never did.
+    pub fn last_step(&self) -> Nanos {
+        self.watch.last_step()
     }
 }

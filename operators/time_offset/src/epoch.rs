@@ -32,6 +32,18 @@ pub enum Epoch {
 }
 
 impl Epoch {
+    /// Its name in results; `None` for the reference's own.
+    pub fn name(self) -> Option<&'static str> {
+        match self {
+            Epoch::Same => None,
+            Epoch::Tai => Some("tai"),
+            Epoch::Gps => Some("gps"),
+            Epoch::Boot => Some("boot"),
+            Epoch::Weeks(_) => Some("weeks"),
+            Epoch::Unknown => Some("other"),
+        }
+    }
+
     /// What is to be added to stamps, ns; `None` where the kind of clock does not say it.
     pub fn shift(self) -> Option<Nanos> {
         match self {

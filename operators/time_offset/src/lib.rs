@@ -23,7 +23,7 @@ pub use clock::{Judged, SensorClock};
 pub use epoch::{Epoch, epoch_of};
 pub use motion::{MotionLimits, NoMotionOffset, motion_offset};
 pub use turning::{Heading, YawRate};
-pub use watch::{Handling, StampFault, StampFaults, StampWatch, Watched};
+pub use watch::{Handling, StampFault, StampFaults, StampRule, StampWatch, Watched};
 
 use realo_schemas::Nanos;
 

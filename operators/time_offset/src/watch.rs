@@ -1,4 +1,5 @@
 use realo_schemas::Nanos;
+use serde::{Deserialize, Serialize};
 
 use crate::{Epoch, epoch_of};
 
@@ -6,6 +7,8 @@ use crate::{Epoch, epoch_of};
 const STEP: Nanos = 200_000_000;
 /// So many stamps and so much time confirm a step back, which a delay looks like at first.
 const CONFIRM: (u32, Nanos) = (8, 700_000_000);
+/// For so long after a clock was first seen, or stepped, quicker messages make its shift more exact, ns.
+const REFINED: Nanos = 5_000_000_000;
 /// So many equal stamps are a clock that stands still.
 const STILL: u32 = 5;
 
@@ -111,6 +114,32 @@ pub enum Handling {
     Trust,
 }
 
+/// How a setting says what becomes of messages whose stamps are wrong.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StampRule {
+    /// Those that are seconds off are left out, all others are taken as they are.
+    #[default]
+    DropFar,
+    /// All of them are left out: [`Handling::Drop`].
+    Drop,
+    /// They get other stamps: [`Handling::Rebase`].
+    Rebase,
+    /// All are taken as they are: [`Handling::Trust`].
+    Trust,
+}
+
+impl StampRule {
+    /// What a watch does with the messages that come to it.
+    pub fn handling(self) -> Handling {
+        match self {
+            StampRule::Drop => Handling::Drop,
+            StampRule::Rebase => Handling::Rebase,
+            StampRule::DropFar | StampRule::Trust => Handling::Trust,
+        }
+    }
+}
+
 /// What a stamp is taken for.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub struct Watched {
@@ -120,6 +149,16 @@ pub struct Watched {
     pub fault: Option<StampFault>,
     /// Whether the clock is another one from here on: what was known of its offset does not hold.
     pub is_new_clock: bool,
+}
+
+impl Watched {
+    /// Whether the stamp is what its clock says at that moment, even if the clock is wrong.
+    pub fn is_of_the_clock(&self) -> bool {
+        !matches!(
+            self.fault,
+            Some(StampFault::Repeated | StampFault::StandsStill | StampFault::Backwards | StampFault::Ahead)
+        )
+    }
 }
 
 /// Watches the stamps of one sensor.
@@ -132,6 +171,7 @@ pub struct StampWatch {
     handling: Handling,
     faults: StampFaults,
     clock: Option<ClockSeen>,
+    last_step: Nanos,
 }
 
 /// Whether a clock stepped.
@@ -150,12 +190,16 @@ struct ClockSeen {
     epoch: Epoch,
     /// What is added to its stamps to have them right, ns.
     shift: Nanos,
+    /// Until which arrival quicker messages make the shift smaller; `None` where it is known exactly.
+    refined: Option<Nanos>,
+    /// The newest stamp with the shift.
+    shifted: Nanos,
     /// Least arrival minus stamp, ns.
     least: Nanos,
     last: Nanos,
     equal: u32,
-    /// Whether the last message came too early.
-    is_ahead: bool,
+    /// Arrival minus stamp of the last message, if it came too early.
+    ahead: Option<Nanos>,
     /// Since which arrival messages have seemed later than they were, how many, and the least arrival minus stamp of them.
     behind: Option<(Nanos, u32, Nanos)>,
 }
@@ -167,6 +211,7 @@ impl StampWatch {
             handling,
             faults: StampFaults::default(),
             clock: None,
+            last_step: 0,
         }
     }
 
@@ -178,6 +223,16 @@ impl StampWatch {
     /// What the clock counts.
     pub fn epoch(&self) -> Option<Epoch> {
         self.clock.as_ref().map(|clock| clock.epoch)
+    }
+
+    /// What is added to the clock's stamps to have them right, ns; 0 before its first message.
+    pub fn shift(&self) -> Nanos {
+        self.clock.as_ref().map_or(0, |clock| clock.shift)
+    }
+
+    /// By how much the clock stepped last, ns; 0 where it never did.
+    pub fn last_step(&self) -> Nanos {
+        self.last_step
     }
 
     /// Looks at a message's stamp; `arrival`: when it came, by the reference clock.
@@ -194,12 +249,16 @@ impl StampWatch {
         };
         if let Step::To(least) = step {
             let shift = clock.shift.saturating_add(least.saturating_sub(clock.least));
+            self.last_step = clock.least.saturating_sub(least);
             let epoch = epoch_of(stamp, arrival);
             // A step into another known epoch is that exactly; any other is as large as it looks.
             let enters = epoch != clock.epoch && epoch != Epoch::Same;
-            let shift = epoch.shift().filter(|_| enters).unwrap_or(shift);
+            let exact = epoch.shift().filter(|_| enters);
+            let shifted = clock.shifted;
             self.clock = Some(ClockSeen {
-                shift,
+                shift: exact.unwrap_or(shift),
+                refined: exact.is_none().then(|| arrival.saturating_add(REFINED)),
+                shifted,
                 epoch,
                 least,
                 ..ClockSeen::first(stamp, arrival)
@@ -213,7 +272,7 @@ impl StampWatch {
             clock.order(stamp)
         };
         if fault.is_none() {
-            clock.least = clock.least.min(delay);
+            clock.refine(stamp, delay, arrival);
         }
         if let Some(fault) = fault {
             self.faults.note(fault);
@@ -229,10 +288,10 @@ impl StampWatch {
 
     /// A stamp that is in order, by what is known of its clock.
     fn judged(&mut self, stamp: Nanos, jump: Option<StampFault>, is_new_clock: bool) -> Watched {
-        let (epoch, shift) = self
-            .clock
-            .as_ref()
-            .map_or((Epoch::Same, 0), |clock| (clock.epoch, clock.shift));
+        let (epoch, shift) = self.clock.as_mut().map_or((Epoch::Same, 0), |clock| {
+            clock.shifted = stamp.saturating_add(clock.shift);
+            (clock.epoch, clock.shift)
+        });
         let fault = StampFault::of(epoch);
         if let Some(fault) = fault {
             self.faults.note(fault);
@@ -257,23 +316,44 @@ impl ClockSeen {
         let (epoch, delay) = (epoch_of(stamp, arrival), arrival.saturating_sub(stamp));
         ClockSeen {
             epoch,
-            // Without a known epoch the first message is taken for one that came at once.
+            // Without a known epoch the quickest message of the first ones is taken for one that came at once.
             shift: epoch.shift().unwrap_or(delay),
+            refined: epoch.shift().is_none().then(|| arrival.saturating_add(REFINED)),
+            shifted: Nanos::MIN,
             least: delay,
             last: stamp,
             equal: 0,
-            is_ahead: false,
+            ahead: None,
             behind: None,
         }
+    }
+
+    /// Takes the delay of a message in order: a quicker one shows more exactly where the clock is. Shifted stamps rise all the same.
+    fn refine(&mut self, stamp: Nanos, delay: Nanos, arrival: Nanos) {
+        let less = delay.saturating_sub(self.least);
+        if less >= 0 {
+            return;
+        }
+        if self.refined.is_some_and(|until| arrival <= until) {
+            let shift = self.shift.saturating_add(less);
+            if stamp.saturating_add(shift) <= self.shifted {
+                return;
+            }
+            self.shift = shift;
+        }
+        self.least = delay;
     }
 
     /// Whether a message shows a step of the clock.
     fn step(&mut self, delay: Nanos, arrival: Nanos) -> Step {
         if delay < self.least.saturating_sub(STEP) {
-            let confirmed = std::mem::replace(&mut self.is_ahead, true);
-            return if confirmed { Step::To(delay) } else { Step::Perhaps };
+            return match self.ahead.replace(delay) {
+                // The quicker of the two is nearer to what the clock shows.
+                Some(before) => Step::To(delay.min(before)),
+                None => Step::Perhaps,
+            };
         }
-        self.is_ahead = false;
+        self.ahead = None;
         if delay <= self.least.saturating_add(STEP) {
             self.behind = None;
             return Step::None;

@@ -24,6 +24,8 @@ pub const POINTS: &str = "points";
 pub const DETECTIONS: &str = "detections";
 /// Whether what the log has precomputed is played.
 pub const PRECOMPUTED: &str = "precomputed";
+/// What becomes of messages whose stamps are wrong.
+pub const STAMPS: &str = "stamps";
 /// Channel model of a link.
 pub const LINK: &str = "link";
 /// Seed of what is drawn.
@@ -67,6 +69,7 @@ mod tests {
         POINTS,
         DETECTIONS,
         PRECOMPUTED,
+        STAMPS,
         LINK,
         SEED,
         PROTOCOL,

@@ -5,7 +5,7 @@ use realo_results::{Run, UNUSED};
 use crate::cells::{count, fraction, values};
 use crate::columns::OFFLINE;
 use crate::differences::{listed, of_settings};
-use crate::sections::{classes, ious};
+use crate::sections::{classes, ious, said_of_clocks};
 use crate::text::paragraph;
 use crate::words::explained;
 
@@ -38,6 +38,9 @@ pub fn foot(runs: &[(&str, &Run)], table: &str, width: usize) -> String {
     for difference in of_settings(runs) {
         say(difference);
     }
+    for clocks in of_clocks(runs) {
+        say(clocks);
+    }
     for note in notes(runs) {
         say(note);
     }
@@ -52,6 +55,27 @@ pub fn below(runs: &[(&str, &Run)], table: &str, width: usize) -> String {
     sentences.push(of_one_log(runs));
     let said = sentences.iter().filter(|sentence| !sentence.is_empty());
     said.map(|sentence| paragraph(sentence, width)).collect()
+}
+
+/// Whose clocks are off, each once with the names of the runs.
+fn of_clocks(runs: &[(&str, &Run)]) -> Vec<String> {
+    let mut known: Vec<(String, Vec<&str>)> = Vec::new();
+    for (name, run) in runs {
+        let said = said_of_clocks(run);
+        match known.iter_mut().find(|(other, _)| *other == said) {
+            _ if said.is_empty() => {}
+            Some((_, names)) => names.push(name),
+            None => known.push((said, vec![name])),
+        }
+    }
+    let words = |(said, names): (String, Vec<&str>)| {
+        let whose = match names.len() == runs.len() {
+            true => String::new(),
+            false => format!(" ({})", listed(&names)),
+        };
+        format!("clocks{whose}, to be added to stamps ± bound, ms: {said}.")
+    };
+    known.into_iter().map(words).collect()
 }
 
 fn of_classes(runs: &[(&str, &Run)]) -> String {

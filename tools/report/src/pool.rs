@@ -144,6 +144,7 @@ fn add(sum: &mut RunResult, run: &RunResult) {
     run.agents.iter().for_each(|agent| add_name(&mut sum.agents, agent));
     sum.frames.add(&run.frames);
     sum.peers.extend(run.peers.iter().cloned());
+    run.clocks.iter().for_each(|clock| sum.add_clock(clock));
     for (link, kinds) in &run.links {
         let sums: &mut BTreeMap<_, _> = sum.links.entry(link.clone()).or_default();
         for (kind, books) in kinds {

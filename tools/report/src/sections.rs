@@ -1,5 +1,6 @@
 //! What a table shows, section by section.
 
+mod clocks;
 mod objects;
 mod scores;
 mod times;
@@ -16,6 +17,8 @@ use crate::cells::{alarm, count, spread};
 use crate::columns::{OFFLINE, STATE};
 use crate::foot::V2X_REAL;
 use crate::settings::{ISA, MODEL, PRECOMPUTED, PROGRAMS, PROJECT, RATE, SEED, SET, Setting, is_given};
+pub use clocks::said as said_of_clocks;
+use clocks::{clocks, has_clocks};
 use objects::{detections, recall};
 use scores::{accuracy, in_the_order_of_v2x_real, intervals, mean_accuracy, seen};
 use times::{ages, latency, steps};
@@ -166,6 +169,10 @@ impl Contents<'_> {
         if self.runs.iter().any(|run| !run.result.peers.is_empty()) {
             let title = "peers: their clock minus the ego's ± uncertainty, round trip, ms; Mbit/s";
             sections.push(self.section(title, peers));
+        }
+        if has_clocks(self.runs, self.full) {
+            let title = "clocks: to be added to stamps ± bound, ms";
+            sections.push(self.section(title, |rows| clocks(rows, self.full)));
         }
         let with_states = self.full || are_states_used(self.runs);
         for kind in kinds(self.runs).into_iter().filter(|kind| with_states || kind != STATE) {

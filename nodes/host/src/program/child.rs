@@ -308,6 +308,7 @@ impl Child {
                     .into_iter()
                     .map(|(name, loss)| (name.into(), loss))
                     .collect(),
+                ..Counts::default()
             },
             explained: reply.reported.explained,
             fates: reply.reported.fates,

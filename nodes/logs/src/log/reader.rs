@@ -8,6 +8,7 @@ use realo_schemas::{Name, to_seconds};
 use super::entry::Entry;
 use super::nanos;
 use crate::mcap_file::{McapFile, Messages, RawMessage};
+use crate::rebase::Rebased;
 use crate::repeats::Repeats;
 use crate::stamps::{Stamps, stamp_of};
 use crate::sweeps::Context;
@@ -47,8 +48,10 @@ pub struct LogReader {
     pub(super) channels: BTreeMap<u16, (Stream, usize, Name)>,
     pub(super) ahead: Option<RawMessage>,
     pub(super) instant: VecDeque<Entry>,
-    pub(super) repeats: Repeats,
+    /// What refuses stamps that repeat or start again.
+    pub(super) repeats: Option<Repeats>,
     pub(super) stamps: Stamps,
+    pub(super) rebased: Option<Arc<Rebased>>,
     pub(super) context: Arc<Context>,
 }
 
@@ -59,17 +62,26 @@ impl LogReader {
     /// Bytes that contradict the format.
     #[allow(clippy::should_implement_trait)]
     pub fn next(&mut self) -> Result<Option<Entry>, LogError> {
-        if self.instant.is_empty() {
-            self.read_instant()?;
+        loop {
+            if self.instant.is_empty() {
+                self.read_instant()?;
+            }
+            let Some(mut entry) = self.instant.pop_front() else {
+                return Ok(None);
+            };
+            // Several channels of a topic follow each other: they are one stream.
+            let (stream, rank, agent) = &self.channels[&entry.raw.channel];
+            entry.stamp = self.stamps.unify(*stream, *rank, entry.stamp);
+            if let Some(rebased) = &self.rebased {
+                match rebased.stamp((agent, *stream), entry.stamp, entry.ready()) {
+                    Some(stamp) => entry.stamp = stamp,
+                    None => continue,
+                }
+            }
+            let repeats = self.repeats.as_mut();
+            let noted = repeats.map_or(Ok(()), |repeats| repeats.note((*stream, *rank), entry.stamp()));
+            return noted.map_err(|reason| entry.bad(reason)).map(|()| Some(entry));
         }
-        let Some(mut entry) = self.instant.pop_front() else {
-            return Ok(None);
-        };
-        // Several channels of a topic follow each other: they are one stream.
-        let (stream, rank, _) = &self.channels[&entry.raw.channel];
-        entry.stamp = self.stamps.unify(*stream, *rank, entry.stamp);
-        let noted = self.repeats.note((*stream, *rank), entry.stamp());
-        noted.map_err(|reason| entry.bad(reason)).map(|()| Some(entry))
     }
 
     /// Reads all messages of the next log time and puts them in order.

@@ -31,6 +31,8 @@ pub struct Script {
     pub detections: bool,
     /// Whether what motion sensors measured is played.
     pub motion: bool,
+    /// Whether stamps of another clock are played as they are.
+    pub trusts_stamps: bool,
     /// Whether the collaborators' packets are played.
     pub precomputed: bool,
     /// Whether only the ego's streams are played.

@@ -31,7 +31,7 @@ impl Feed {
     pub(super) fn is_off(&mut self, entry: &Entry) -> Result<bool, LogError> {
         let is_pose = matches!(entry.stream, Stream::Pose | Stream::PoseTruth);
         let is_sweep = matches!(entry.stream, Stream::Points | Stream::Sweeps);
-        if is_pose && self.held.contains_key(&self.rank(entry)) {
+        if self.script.trusts_stamps || is_pose && self.held.contains_key(&self.rank(entry)) {
             return Ok(false);
         }
         let step = Step::of(entry.stream, entry.stamp(), entry.ready());

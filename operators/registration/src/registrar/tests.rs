@@ -118,7 +118,8 @@ fn the_basin_is_as_wide_as_measured() {
         (Search::Track, 0.5, 1.0, 10),
         (Search::Track, 1.0, 2.0, 8),
         (Search::Wide, 1.9, 3.5, 10),
-        (Search::Wide, 3.2, 6.0, 9),
+        (Search::Wide, 3.2, 6.0, 10),
+        (Search::Wide, 5.1, 9.0, 9),
     ] {
         let found = found(&sweeps, search, shift, turn_deg);
         assert!(

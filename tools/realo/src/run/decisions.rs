@@ -172,6 +172,7 @@ impl Decisions<'_> {
         }
         decisions.extend(args.rate.map(|rate| (roles::RATE, rate.to_string())));
         decisions.extend(args.choices.seed.map(|seed| (roles::SEED, seed.to_string())));
+        decisions.extend(args.choices.stamps.iter().map(|rule| (roles::STAMPS, rule.clone())));
         decisions.extend(args.choices.isa.iter().map(|isa| (roles::ISA, isa.clone())));
         decisions.extend(
             args.choices

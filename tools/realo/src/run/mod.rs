@@ -124,6 +124,10 @@ pub struct Choices {
     /// What computes the networks: cpu, or cuda where the build has it [default: cpu]
     #[arg(long)]
     pub device: Option<String>,
+    /// What becomes of messages whose stamps step, run backwards or are of another clock: drop, rebase (stamps by their arrival), or
+    /// trust [default: what is seconds off is left out]
+    #[arg(long, value_parser = ["drop", "rebase", "trust"])]
+    pub stamps: Option<String>,
     /// Who brings what crosses the link to the ego's frame: its receiver, or its sender as foreseen by the ego's newest known state
     #[arg(long, value_parser = one_of(Project::ALL))]
     pub project: Option<Project>,

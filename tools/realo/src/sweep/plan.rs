@@ -168,6 +168,7 @@ fn asked(args: &Args, names: &[String]) -> BTreeMap<String, String> {
         ("--link", option(&choices.link)),
         ("--recorded-detections", flag(choices.recorded_detections)),
         ("--model", choices.model.as_ref().map(file).unwrap_or_default()),
+        ("--stamps", option(&choices.stamps)),
         ("--isa", option(&choices.isa)),
         ("--precision", option(&choices.precision)),
         ("--device", option(&choices.device)),
