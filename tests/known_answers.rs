@@ -381,6 +381,7 @@ fn two_runs_give_the_same_bytes_on_any_number_of_threads() {
         "used",
         "skipped",
         "over_limit",
+        "distrusted",
         "stale",
         "superseded",
         "lost",

@@ -106,8 +106,9 @@ fn covers_every_term<'a>(accounts: impl Iterator<Item = &'a (Account, Reached)>)
                 _ => "sweeps",
             };
             for (term, count) in line.terms() {
-                // A sender takes any state, however old, and no state is refused.
+                // A sender takes any state, however old, and no state is refused. No graph here has a guard.
                 let happens = what == "sweeps" || !["over_limit", "stale", "rejected"].contains(&term);
+                let happens = happens && term != "distrusted";
                 happens.then(|| add(&format!("{what}: {term}"), count));
             }
             add(&format!("{what}: sent"), line.sent);

@@ -90,8 +90,8 @@ class Outputs:
         self.report(header, "used", use={"query": query.seq, "age_ns": query.ready - header.stamp})
 
     def report(self, header: Header, fate, **more):
-        """Says what became of a message that crossed a link: `used`, `skipped`, `over_limit`, `stale`, `superseded`,
-        `lost`, `rejected` or `in_flight`. Only whoever ends a message's way says so; of any other nothing is said."""
+        """Says what became of a message that crossed a link: `used`, `skipped`, `over_limit`, `distrusted`,
+        `stale`, `superseded`, `lost`, `rejected` or `in_flight`. Only whoever ends a message's way says so; of any other nothing is said."""
         if header.to:
             crossing = {"from": header.agent, "to": header.to, "kind": header.kind, "seq": header.seq}
             self.fates.append({**crossing, "fate": fate, **more})

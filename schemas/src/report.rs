@@ -17,6 +17,8 @@ pub enum Fate {
     Skipped,
     /// Only in fusions that took no more collaborators.
     OverLimit,
+    /// Left out by a guard, because the ego could not confirm it or saw that it is not so.
+    Distrusted,
     /// Older than the window when asked for.
     Stale,
     /// A newer one of its sender took its place, or it came older than what was held.
@@ -31,10 +33,11 @@ pub enum Fate {
 
 impl Fate {
     /// All, in the order in which they are tried.
-    pub const ALL: [Fate; 8] = [
+    pub const ALL: [Fate; 9] = [
         Fate::Used,
         Fate::Skipped,
         Fate::OverLimit,
+        Fate::Distrusted,
         Fate::Stale,
         Fate::Superseded,
         Fate::Lost,

@@ -69,6 +69,7 @@ pub struct Line {
     pub used: u64,
     pub skipped: u64,
     pub over_limit: u64,
+    pub distrusted: u64,
     pub stale: u64,
     pub superseded: u64,
     pub lost: u64,
@@ -78,11 +79,12 @@ pub struct Line {
 
 impl Line {
     /// The terms of which each message has one.
-    pub fn terms(&self) -> [(&'static str, u64); 8] {
+    pub fn terms(&self) -> [(&'static str, u64); 9] {
         [
             ("used", self.used),
             ("skipped", self.skipped),
             ("over_limit", self.over_limit),
+            ("distrusted", self.distrusted),
             ("stale", self.stale),
             ("superseded", self.superseded),
             ("lost", self.lost),

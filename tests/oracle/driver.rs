@@ -398,6 +398,7 @@ fn line(books: &LinkBooks) -> Result<Line, String> {
         used: accounted.fates.used,
         skipped: accounted.fates.skipped,
         over_limit: accounted.fates.over_limit,
+        distrusted: accounted.fates.distrusted,
         stale: accounted.fates.stale,
         superseded: accounted.fates.superseded,
         lost: books.lost,

@@ -227,6 +227,10 @@ fn why(agent: &str, books_of: &[LinkBooks], result: &RunResult, books: &Books) -
             fate(|fates| fates.over_limit),
             "were left out, because others were nearer and the fusion takes no more (`max_collaborators`)",
         ),
+        (
+            fate(|fates| fates.distrusted),
+            "were left out by a guard, because the ego could not confirm them",
+        ),
         (fate(|fates| fates.stale), stale),
         (
             fate(|fates| fates.superseded),

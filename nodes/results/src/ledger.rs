@@ -21,6 +21,9 @@ pub struct Fates {
     pub skipped: u64,
     /// Only in fusions that took no more collaborators.
     pub over_limit: u64,
+    /// Left out by a guard.
+    #[serde(default)]
+    pub distrusted: u64,
     /// Older than the window when asked for.
     pub stale: u64,
     /// A newer one of its sender took its place, or it came older than what was held.
@@ -38,12 +41,13 @@ impl Fates {
             used,
             skipped,
             over_limit,
+            distrusted,
             stale,
             superseded,
             rejected,
             in_flight,
         } = *self;
-        used + skipped + over_limit + stale + superseded + rejected + in_flight
+        used + skipped + over_limit + distrusted + stale + superseded + rejected + in_flight
     }
 
     /// Adds the messages of other books.
@@ -53,11 +57,12 @@ impl Fates {
         }
     }
 
-    fn terms(&mut self) -> [&mut u64; 7] {
+    fn terms(&mut self) -> [&mut u64; 8] {
         [
             &mut self.used,
             &mut self.skipped,
             &mut self.over_limit,
+            &mut self.distrusted,
             &mut self.stale,
             &mut self.superseded,
             &mut self.rejected,
@@ -87,6 +92,7 @@ impl Settled {
             Fate::Used => &mut fates.used,
             Fate::Skipped => &mut fates.skipped,
             Fate::OverLimit => &mut fates.over_limit,
+            Fate::Distrusted => &mut fates.distrusted,
             Fate::Stale => &mut fates.stale,
             Fate::Superseded => &mut fates.superseded,
             Fate::Lost => &mut self.lost,
@@ -213,24 +219,26 @@ mod tests {
             used: 1,
             skipped: 2,
             over_limit: 3,
-            stale: 4,
-            superseded: 5,
-            rejected: 7,
-            in_flight: 8,
+            distrusted: 4,
+            stale: 5,
+            superseded: 6,
+            rejected: 8,
+            in_flight: 9,
         };
-        assert_eq!((all.fates, all.lost, all.total()), (expected, 6, 36));
+        assert_eq!((all.fates, all.lost, all.total()), (expected, 7, 45));
         let mut twice = expected;
         twice.add(&expected);
         let doubled = Fates {
             used: 2,
             skipped: 4,
             over_limit: 6,
-            stale: 8,
-            superseded: 10,
-            rejected: 14,
-            in_flight: 16,
+            distrusted: 8,
+            stale: 10,
+            superseded: 12,
+            rejected: 16,
+            in_flight: 18,
         };
-        assert_eq!((twice, twice.total()), (doubled, 60));
+        assert_eq!((twice, twice.total()), (doubled, 76));
     }
 
     #[test]

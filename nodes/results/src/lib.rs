@@ -7,7 +7,7 @@
 //! | `evaluation.json` | [`Samples`] | what the scores are made from |
 //!
 //! Each message that entered a link to the ego is accounted for:
-//! sent = used + skipped + over_limit + stale + superseded + lost + rejected + in_flight + unaccounted,
+//! sent = used + skipped + over_limit + distrusted + stale + superseded + lost + rejected + in_flight + unaccounted,
 //! where `unaccounted` is 0 unless dora lost something. No term is found by subtracting the others from `sent`.
 
 mod causes;

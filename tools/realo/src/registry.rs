@@ -18,6 +18,7 @@ const SHIPPED: &[Registration] = &[
     Registration::gateway::<realo_radio::Radio>(),
     Registration::operator::<realo_stages::TransmissionDecoder>(),
     Registration::operator::<realo_stages::FeatureBank>(),
+    Registration::operator::<realo_stages::FusionGuard>(),
     Registration::operator::<realo_fusion_features::FusionFeatures>(),
     Registration::operator::<realo_fusion_points::FusionPoints>(),
     Registration::operator::<realo_fusion_boxes::FusionBoxes>(),

@@ -114,7 +114,7 @@ fn queries(graph: &FlatGraph, stages: &[Option<&'static Registration>], findings
     }
 }
 
-/// Inputs that take selections, each with those that are joined with it.
+/// Inputs that take selections, each with the required ones that are joined with it; what comes beside them did not ask.
 fn answered(inputs: &'static [Port]) -> impl Iterator<Item = (&'static str, &'static str)> {
     let selections = inputs
         .iter()
@@ -122,7 +122,7 @@ fn answered(inputs: &'static [Port]) -> impl Iterator<Item = (&'static str, &'st
     selections.flat_map(move |port| {
         let partners = inputs
             .iter()
-            .filter(move |other| other.join == port.join && other.name != port.name);
+            .filter(move |other| other.join == port.join && other.name != port.name && other.required);
         partners.map(move |other| (port.name, other.name))
     })
 }

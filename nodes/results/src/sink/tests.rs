@@ -167,12 +167,13 @@ fn ten_sweeps() -> Vec<(PortId, Message)> {
     messages
 }
 
-/// Of the ten sweeps: sweep 3 is skipped, the fusion takes no more at 5, the rest uses what was selected; one message
+/// Of the ten sweeps: sweep 3 is skipped, the fusion takes no more at 5, a guard leaves 6 out, the rest uses what was selected; one message
 /// each is skipped, rejected, stale, superseded, in flight, and two are lost.
 fn ten_fates() -> Vec<Fated> {
     let selected = (0..10).map(|seq| match seq {
         3 => Fate::Skipped,
         5 => Fate::OverLimit,
+        6 => Fate::Distrusted,
         _ => Fate::Used,
     });
     let others = [
@@ -216,9 +217,10 @@ fn accounts_for_every_message() {
         lost: 2,
         accounted: Some(Accounted {
             fates: Fates {
-                used: 8,
+                used: 7,
                 skipped: 2,
                 over_limit: 1,
+                distrusted: 1,
                 stale: 1,
                 superseded: 1,
                 rejected: 1,
@@ -231,9 +233,9 @@ fn accounts_for_every_message() {
     assert_eq!(result.links["rsu1-cav1"]["boxes"], expected);
     let state = &result.links["rsu1-cav1"]["agent_state"];
     assert_eq!((state.sent, state.lost, state.accounted), (100, 7, None));
-    assert_eq!((result.age_ms.all.count, result.age_ms.by_kind["boxes"].count), (8, 8));
+    assert_eq!((result.age_ms.all.count, result.age_ms.by_kind["boxes"].count), (7, 7));
     assert!((result.age_ms.all.p50.unwrap() - 30.0).abs() < 0.05);
-    assert_eq!(samples.ages_ns[&Kind::Boxes].count(), 8);
+    assert_eq!(samples.ages_ns[&Kind::Boxes].count(), 7);
     assert!(
         result
             .notes

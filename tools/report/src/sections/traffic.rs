@@ -100,6 +100,7 @@ pub(super) fn accounting(rows: &mut Rows, kind: &str) {
     rows.add("  used", |run| fate(|fates| fates.used)(run).map(count));
     rows.add_counts("  skipped", fate(|fates| fates.skipped));
     rows.add_counts("  over limit", fate(|fates| fates.over_limit));
+    rows.add_counts("  distrusted", fate(|fates| fates.distrusted));
     rows.add_counts("  stale", fate(|fates| fates.stale));
     let superseded = match kind == STATE {
         true => "  replaced by the next state (normal)",

@@ -1,0 +1,215 @@
+//! One message of a selection on its way through the guard.
+
+use nalgebra::{Isometry3, Matrix3, Matrix6, Translation3, Vector2};
+use realo_assignment::AssignmentError;
+use realo_schemas::geometry::{relative, yaw_of};
+use realo_schemas::{Boxes, Header, Message, Name, Nanos, Payload, Pose, from_seconds, to_seconds};
+
+use crate::boxes::{Ego, Judgement, Limits, Origin, judge};
+use crate::constellation::lay_over;
+use crate::objects::{Object, objects};
+use crate::overlay::judge_points;
+use crate::record::Record;
+use crate::shift::Shift;
+use crate::sight::Sight;
+use crate::verdict::Reason;
+
+/// A message that came with a selection.
+pub(crate) struct Entry {
+    message: Message,
+    origin: Option<Origin>,
+    had_no_pose: bool,
+    had_wrong_covariance: bool,
+}
+
+/// The same with what was found of it.
+pub(crate) struct Guarded {
+    entry: Entry,
+    judgement: Option<Judgement>,
+}
+
+impl Entry {
+    /// A message and where it is from; one without a pose is placed by the ego's objects, if that is asked for.
+    ///
+    /// # Errors
+    /// [`AssignmentError`] for more objects than an assignment takes.
+    pub fn of(
+        ego: &Header,
+        mut message: Message,
+        known: &[Object],
+        limits: &Limits,
+        constellations: bool,
+    ) -> Result<Self, AssignmentError> {
+        let had_wrong_covariance = drop_wrong_covariance(&mut message.header);
+        let map_from_ego = ego.pose.as_ref().map(|pose| pose.map_from_frame);
+        let had_no_pose = message.header.pose.is_none();
+        if let (true, true, Some(map_from_ego), Payload::Boxes(Boxes(boxes))) =
+            (had_no_pose, constellations, map_from_ego, &message.payload)
+        {
+            let theirs = objects(boxes, &Isometry3::identity(), 0.0, limits.max_boxes);
+            if let Some(fit) = lay_over(known, &theirs, &limits.noise)? {
+                message.header.pose = Some(Pose::exact(map_from_ego * fit.shift.isometry()));
+            }
+        }
+        let origin = map_from_ego.and_then(|map_from_ego| origin(&map_from_ego, ego.stamp, &message.header));
+        Ok(Entry {
+            had_no_pose: had_no_pose && origin.is_some(),
+            origin,
+            message,
+            had_wrong_covariance,
+        })
+    }
+
+    /// What is found of it.
+    ///
+    /// # Errors
+    /// [`AssignmentError`] for more objects than an assignment takes.
+    pub fn judge(self, ego: &Sight, record: Record, limits: &Limits) -> Result<Guarded, AssignmentError> {
+        let judgement = match (&self.origin, &self.message.payload) {
+            (Some(origin), Payload::Boxes(Boxes(boxes))) if ego.has_boxes => {
+                let (objects, view) = (&ego.known, ego.view.as_ref());
+                Some(judge(boxes, &Ego { objects, view }, origin, &record, limits)?)
+            }
+            (Some(origin), Payload::PointCloud(cloud)) => {
+                ego.sweep().map(|sweep| judge_points(cloud, &sweep, origin, &record, limits))
+            }
+            _ => None,
+        };
+        Ok(Guarded { entry: self, judgement })
+    }
+}
+
+fn origin(map_from_ego: &Isometry3<f64>, stamp: Nanos, header: &Header) -> Option<Origin> {
+    let pose = header.pose.as_ref()?;
+    let ego_from_sender = relative(map_from_ego, &pose.map_from_frame);
+    let sender = match header.sender_position() {
+        Some(position) => map_from_ego.inverse_transform_point(&position.into()).coords,
+        None => ego_from_sender.translation.vector,
+    };
+    let stated = pose.covariance.as_ref().map(|covariance| (0.5 * (covariance[0] + covariance[7])).sqrt());
+    Some(Origin {
+        ego_from_sender,
+        sender: Vector2::new(sender.x, sender.y),
+        age_s: to_seconds(stamp.saturating_sub(header.stamp)),
+        stated_m: stated,
+    })
+}
+
+/// Forgets a covariance that is none; whether it was one.
+fn drop_wrong_covariance(header: &mut Header) -> bool {
+    let Some(pose) = &mut header.pose else { return false };
+    let is_one = |covariance: &[f64; 36]| {
+        covariance.iter().all(|number| number.is_finite()) && (0..6).all(|axis| covariance[7 * axis] >= 0.0)
+    };
+    let is_wrong = pose.covariance.as_ref().is_some_and(|covariance| !is_one(covariance));
+    if is_wrong {
+        pose.covariance = None;
+    }
+    is_wrong
+}
+
+impl Guarded {
+    /// Whose it is.
+    pub fn agent(&self) -> &Name {
+        &self.entry.message.header.agent
+    }
+
+    /// Its header.
+    pub fn header(&self) -> &Header {
+        &self.entry.message.header
+    }
+
+    /// What was found of it; `None` for what cannot be checked.
+    pub fn judgement(&self) -> Option<&Judgement> {
+        self.judgement.as_ref()
+    }
+
+    /// Whether it had no pose and was placed.
+    pub fn had_no_pose(&self) -> bool {
+        self.entry.had_no_pose
+    }
+
+    /// Whether its pose came with a covariance that is none.
+    pub fn had_wrong_covariance(&self) -> bool {
+        self.entry.had_wrong_covariance
+    }
+
+    /// Whether its pose is corrected.
+    pub fn is_moved(&self) -> bool {
+        self.judgement.as_ref().is_some_and(|judgement| judgement.rise != 0.0 || judgement.shift != Shift::none(judgement.shift.pivot))
+    }
+
+    /// Whether the ego's objects say where its agent is, and nothing speaks against it.
+    pub fn is_confirmed(&self) -> bool {
+        self.judgement.as_ref().is_some_and(|judgement| judgement.reason.is_none() && judgement.covariance.is_some())
+    }
+
+    /// Whether more objects may say where its agent is.
+    pub fn is_open(&self) -> bool {
+        let has_lied = |judgement: &Judgement| judgement.reason == Some(Reason::Distrusted);
+        self.judgement.as_ref().is_some_and(|judgement| judgement.covariance.is_none() && !has_lied(judgement))
+    }
+
+    /// Its boxes in the ego's frame.
+    pub fn objects(&self) -> impl Iterator<Item = &Object> {
+        self.judgement.iter().flat_map(|judgement| &judgement.objects)
+    }
+
+    /// Judges it once more, by more objects.
+    ///
+    /// # Errors
+    /// [`AssignmentError`] for more objects than an assignment takes.
+    pub fn again(self, ego: &Sight, record: Record, limits: &Limits) -> Result<Self, AssignmentError> {
+        self.entry.judge(ego, record, limits)
+    }
+
+    /// Adds what was found to what is known of its agent.
+    pub fn remember(&self, record: &mut Record) {
+        let Some(judgement) = &self.judgement else { return };
+        record.observe(judgement.shares.confirmed(), judgement.shares.contradicted);
+        if judgement.covariance.is_some() {
+            record.observe_pose(judgement.shift.metres());
+        }
+        if judgement.ahead_s != record.clock_s() {
+            record.observe_clock(judgement.ahead_s - record.clock_s());
+        }
+    }
+
+    /// The message with what was corrected.
+    pub fn into_message(self, ego: &Header) -> Message {
+        let Entry { mut message, origin, .. } = self.entry;
+        let Some(judgement) = self.judgement else {
+            return message;
+        };
+        if let (Some(origin), Some(map_from_ego), Some(pose)) = (
+            origin,
+            ego.pose.as_ref().map(|pose| pose.map_from_frame),
+            &mut message.header.pose,
+        ) {
+            if judgement.shift != Shift::none(judgement.shift.pivot) || judgement.rise != 0.0 {
+                let rise = Translation3::new(0.0, 0.0, judgement.rise);
+                pose.map_from_frame = map_from_ego * rise * judgement.shift.isometry() * origin.ego_from_sender;
+                let found = judgement.covariance.map(|covariance| in_map(&covariance, yaw_of(&map_from_ego.rotation)));
+                pose.covariance = found.or(pose.covariance.take());
+            }
+        }
+        message.header.stamp = message.header.stamp.saturating_sub(from_seconds(judgement.ahead_s));
+        message.payload = judgement.kept;
+        message
+    }
+}
+
+/// A covariance of x, y and yaw in the ego's frame as one of a pose in `map`, row-major over x, y, z, roll, pitch, yaw. Of the others nothing
+/// is known: they keep 0.
+fn in_map(covariance: &Matrix3<f64>, yaw: f64) -> Box<[f64; 36]> {
+    let (sin, cos) = libm::sincos(yaw);
+    let turn = Matrix3::new(cos, -sin, 0.0, sin, cos, 0.0, 0.0, 0.0, 1.0);
+    let turned = turn * covariance * turn.transpose();
+    let mut all = Matrix6::zeros();
+    for (row, to) in [0, 1, 5].into_iter().enumerate() {
+        for (column, at) in [0, 1, 5].into_iter().enumerate() {
+            all[(to, at)] = turned[(row, column)];
+        }
+    }
+    Box::new(std::array::from_fn(|place| all[(place / 6, place % 6)]))
+}

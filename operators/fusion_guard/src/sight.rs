@@ -1,0 +1,59 @@
+//! What the ego knows when a selection comes.
+
+use nalgebra::Isometry3;
+use realo_schemas::{Boxes, Message, Payload, PointCloud};
+
+use crate::cells::Ground;
+use crate::objects::{Object, objects};
+use crate::view::View;
+
+/// What the ego knows, in its frame.
+pub(crate) struct Sight {
+    /// Its objects, and those of collaborators that it has confirmed.
+    pub known: Vec<Object>,
+    /// Whether it has boxes at all, which may be none.
+    pub has_boxes: bool,
+    /// Its sweep, where it is known, what that shows, and the same for a search.
+    pub view: Option<View>,
+    sweep: Option<PointCloud>,
+    ground: Option<Ground>,
+}
+
+/// The ego's sweep and what it shows.
+pub(crate) struct Sweep<'a> {
+    /// Its points.
+    pub cloud: &'a PointCloud,
+    /// What they show.
+    pub view: &'a View,
+    /// The same for a search.
+    pub ground: &'a Ground,
+}
+
+impl Sight {
+    /// What a message of the ego and its sweep say; a message of points is a sweep itself.
+    pub fn of(ego: &Message, sweep: Option<PointCloud>, max_boxes: usize) -> Self {
+        let (own, is_points) = match &ego.payload {
+            Payload::PointCloud(cloud) => (Some(cloud.clone()), true),
+            _ => (None, false),
+        };
+        let sweep = own.or(sweep);
+        let view = sweep.as_ref().map(View::of);
+        let known = match &ego.payload {
+            Payload::Boxes(Boxes(boxes)) => Some(objects(boxes, &Isometry3::identity(), 0.0, max_boxes)),
+            _ => None,
+        };
+        Sight {
+            has_boxes: known.is_some(),
+            known: known.unwrap_or_default(),
+            ground: view.as_ref().filter(|_| is_points).map(Ground::of_view),
+            view,
+            sweep,
+        }
+    }
+
+    /// The ego's sweep, where it may be compared with those of others.
+    pub fn sweep(&self) -> Option<Sweep<'_>> {
+        let (cloud, view, ground) = (self.sweep.as_ref()?, self.view.as_ref()?, self.ground.as_ref()?);
+        Some(Sweep { cloud, view, ground })
+    }
+}
