@@ -1,5 +1,6 @@
 //! What a table shows, section by section.
 
+mod localization;
 mod objects;
 mod scores;
 mod times;
@@ -15,7 +16,7 @@ use realo_scoring::Table;
 use crate::cells::{alarm, count, spread};
 use crate::columns::{OFFLINE, STATE};
 use crate::foot::V2X_REAL;
-use crate::settings::{ISA, MODEL, PRECOMPUTED, PROGRAMS, PROJECT, RATE, SEED, SET, Setting, is_given};
+use crate::settings::{ISA, MODEL, POSE_SOURCE, PRECOMPUTED, PROGRAMS, PROJECT, RATE, SEED, SET, Setting, is_given};
 use objects::{detections, recall};
 use scores::{accuracy, in_the_order_of_v2x_real, intervals, mean_accuracy, seen};
 use times::{ages, latency, steps};
@@ -130,6 +131,19 @@ impl Contents<'_> {
                 self.section("velocity error, m/s: all / moving", velocities),
             ]);
         }
+        if self.runs.iter().any(|run| run.result.localization.is_some()) {
+            sections.extend([
+                self.section(
+                    "position error on the ground, m: mean / 95 % / max",
+                    localization::positions,
+                ),
+                self.section("heading error, degrees: mean / 95 % / max", localization::headings),
+                self.section(
+                    "localization, % of sweeps: tracking / dead reckoning / init / lost / NEES inside its 95 % band",
+                    localization::statuses,
+                ),
+            ]);
+        }
         if self.full {
             sections.extend([
                 self.section(format!("recall / precision, IoU {strict}"), |rows| {
@@ -196,7 +210,7 @@ fn names<'a>(names: impl Iterator<Item = &'a String>) -> Vec<String> {
 }
 
 /// Settings that are shown if a run has them.
-const RARE: [Setting; 5] = [PROJECT, PRECOMPUTED, SET, PROGRAMS, RATE];
+const RARE: [Setting; 6] = [PROJECT, POSE_SOURCE, PRECOMPUTED, SET, PROGRAMS, RATE];
 /// Settings that nearly every run has; among the main rows only if they differ, or if somebody chose them.
 const USUAL: [Setting; 3] = [SEED, MODEL, ISA];
 
