@@ -82,6 +82,8 @@ pub struct GnssFix {
     pub taken: Taken,
     /// Where the antenna is in `map`, m.
     pub position: [f64; 3],
+    /// Whether the height is known; a receiver that reports exactly 0 over the ellipsoid does not know it.
+    pub has_height: bool,
     /// Row-major 3×3 covariance along the axes of `map`, m², where the receiver says it.
     pub covariance: Option<[f64; 9]>,
     /// How it was found.
@@ -249,6 +251,7 @@ mod tests {
         let fix = |x: f64, variance: f64| GnssFix {
             taken: Taken::default(),
             position: [x, 0.0, 0.0],
+            has_height: true,
             covariance: Some([variance, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0]),
             quality: FixQuality::Single,
         };

@@ -79,7 +79,7 @@ impl PointCloud {
 }
 
 /// How far a pose can be trusted.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(rename_all = "snake_case")]
 pub enum PoseStatus {
     /// Exact, from a simulator or a survey.
@@ -88,6 +88,52 @@ pub enum PoseStatus {
     Recorded,
     /// Carried forward from older measurements.
     Extrapolated,
+    /// Estimated, and not known yet: the position may be, the heading is not.
+    Init,
+    /// Estimated, and corrected by absolute positions.
+    Tracking,
+    /// Estimated, and carried on by the agent's own motion alone.
+    DeadReckoning,
+    /// Estimated, and not known any more.
+    Lost,
+}
+
+impl PoseStatus {
+    /// All, in the order of their numbers.
+    pub const ALL: [PoseStatus; 7] = [
+        PoseStatus::Truth,
+        PoseStatus::Recorded,
+        PoseStatus::Extrapolated,
+        PoseStatus::Init,
+        PoseStatus::Tracking,
+        PoseStatus::DeadReckoning,
+        PoseStatus::Lost,
+    ];
+    /// Those of estimates.
+    pub const ESTIMATED: [PoseStatus; 4] = [
+        PoseStatus::Init,
+        PoseStatus::Tracking,
+        PoseStatus::DeadReckoning,
+        PoseStatus::Lost,
+    ];
+
+    /// Its name in messages and tables.
+    pub fn name(self) -> &'static str {
+        match self {
+            PoseStatus::Truth => "truth",
+            PoseStatus::Recorded => "recorded",
+            PoseStatus::Extrapolated => "extrapolated",
+            PoseStatus::Init => "init",
+            PoseStatus::Tracking => "tracking",
+            PoseStatus::DeadReckoning => "dead_reckoning",
+            PoseStatus::Lost => "lost",
+        }
+    }
+
+    /// Whether the pose may be used: not while it is not known yet, or any more.
+    pub fn is_usable(self) -> bool {
+        !matches!(self, PoseStatus::Init | PoseStatus::Lost)
+    }
 }
 
 /// Where an agent is and how it moves, at the header's stamp.

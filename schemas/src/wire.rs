@@ -288,12 +288,7 @@ fn state_columns(state: &AgentState, row: &mut Builder) {
     let vector = |v: &Option<Vector3<f64>>| v.map(|v| vec![v.x, v.y, v.z]).unwrap_or_default();
     row.list_f64("velocity", vector(&state.velocity));
     row.list_f64("angular_rate", vector(&state.angular_rate));
-    let status = match state.status {
-        PoseStatus::Truth => "truth",
-        PoseStatus::Recorded => "recorded",
-        PoseStatus::Extrapolated => "extrapolated",
-    };
-    row.text("status", status);
+    row.text("status", state.status.name());
 }
 
 fn read_state(row: &Row) -> Result<AgentState, WireError> {
@@ -307,12 +302,10 @@ fn read_state(row: &Row) -> Result<AgentState, WireError> {
             format!("a vector has 3 numbers, found {}", other.len()),
         )),
     };
-    let status = match row.text("status")? {
-        "truth" => PoseStatus::Truth,
-        "recorded" => PoseStatus::Recorded,
-        "extrapolated" => PoseStatus::Extrapolated,
-        other => return Err(WireError::content("status", format!("unknown status `{other}`"))),
-    };
+    let name = row.text("status")?;
+    let unknown = || WireError::content("status", format!("unknown status `{name}`"));
+    let status = PoseStatus::ALL.into_iter().find(|status| status.name() == name);
+    let status = status.ok_or_else(unknown)?;
     Ok(AgentState {
         map_from_body: pose.map_from_frame,
         covariance: pose.covariance,

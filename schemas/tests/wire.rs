@@ -171,6 +171,7 @@ fn motion() -> Motion {
     let fix = |stamp: Nanos, covariance: Option<[f64; 9]>| GnssFix {
         taken: taken(stamp),
         position: [1e5, -3.0, 0.5],
+        has_height: covariance.is_some(),
         covariance,
         quality: FixQuality::Differential,
     };
@@ -435,7 +436,7 @@ fn every_element_type_and_status_survives() {
         let message = Message::new(header(Kind::Features), map);
         assert_eq!(from_arrow(&to_arrow(&message)).as_ref(), Ok(&message));
     }
-    for status in [PoseStatus::Truth, PoseStatus::Recorded, PoseStatus::Extrapolated] {
+    for status in PoseStatus::ALL {
         let state = AgentState {
             map_from_body: Isometry3::translation(1.0, 2.0, 3.0),
             covariance: Some(Box::new([0.5; 36])),

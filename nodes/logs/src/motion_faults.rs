@@ -394,6 +394,7 @@ mod tests {
             let fix = |k: usize| GnssFix {
                 taken: taken(k, 100 * MS),
                 position: at(k),
+                has_height: true,
                 covariance: None,
                 quality: FixQuality::Single,
             };

@@ -17,6 +17,7 @@ mod error;
 mod files;
 mod ledger;
 mod links;
+mod localization;
 mod notes;
 mod progress;
 mod result;

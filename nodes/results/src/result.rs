@@ -5,7 +5,8 @@ use std::collections::BTreeMap;
 use realo_operator::{Counts, Loss, Meaning};
 use realo_schemas::report::{Peer, SensorClock};
 use realo_scoring::{
-    Accuracy, Dropped, Ignored, Intervals, Orders, PointsBin, RangeBin, Scores, Table, TrackScores, score,
+    Accuracy, Dropped, Ignored, Intervals, LocalizationScores, Orders, PointsBin, RangeBin, Scores, Table, TrackScores,
+    score,
 };
 use serde::{Deserialize, Serialize};
 
@@ -67,6 +68,9 @@ pub struct RunResult {
     /// Identities and velocities by super-class; `None` where detections or objects have no identities.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub tracking: Option<BTreeMap<String, TrackScores>>,
+    /// By agent, how well it knew where it was; `None` where no pose was estimated.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub localization: Option<BTreeMap<String, LocalizationScores>>,
     /// 95 % intervals by resampling logs; `None` with fewer than two.
     pub intervals: Option<Intervals>,
     /// Detections that did not count, and why.
@@ -126,6 +130,9 @@ pub struct Settings {
     /// Who brings what crosses the link to the ego's frame: `receiver`, `sender`, or empty where nobody can choose.
     #[serde(default)]
     pub project: String,
+    /// Where poses were estimated from: `gnss` or `map`, with the map's name and hash; empty where the log gave them.
+    #[serde(default, skip_serializing_if = "String::is_empty")]
+    pub pose_source: String,
     /// The collaborators whose messages came out of the log, and in brackets where the time comes from that making them
     /// took: `measured`, or the name of a compute profile; empty where every agent computed.
     #[serde(default)]
@@ -272,6 +279,7 @@ impl RunResult {
             precision_recall_by_range: None,
             recall_by_points: None,
             tracking: None,
+            localization: None,
             intervals: None,
             dropped_detections: None,
             dropped_truths: None,
@@ -353,6 +361,9 @@ impl RunResult {
             self.logs_cut.clone_from(&self.logs);
         }
         self.notes = notes::of(self);
+        let scores = samples.localization.iter();
+        let scores = scores.filter_map(|(agent, frames)| Some((agent.clone(), LocalizationScores::of(frames)?)));
+        self.localization = Some(scores.collect()).filter(|scores: &BTreeMap<_, _>| !scores.is_empty());
         if let Some(evaluation) = &samples.evaluation {
             self.take_scores(score(evaluation));
         }

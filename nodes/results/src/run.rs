@@ -2,7 +2,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use realo_schemas::Kind;
-use realo_scoring::Evaluation;
+use realo_scoring::{Evaluation, LocalizationFrame};
 use serde::{Deserialize, Serialize};
 
 use crate::{AgeTable, Ages, NodeSummary, RunResult, Settings, Spread, Timing, VERSION};
@@ -31,6 +31,9 @@ pub struct Samples {
     /// Names of the settings that whoever started the run chose: `model`, `isa`, `seed`.
     #[serde(default, skip_serializing_if = "Vec::is_empty")]
     pub given: Vec<String>,
+    /// By agent: each estimate of its pose, where poses were estimated.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub localization: BTreeMap<String, Vec<LocalizationFrame>>,
     /// Frames with what was detected and what is there; `None` if nothing was evaluated.
     pub evaluation: Option<Evaluation>,
 }
@@ -44,6 +47,7 @@ impl Default for Samples {
             logs: BTreeMap::new(),
             graph: GraphStages::new(),
             given: Vec::new(),
+            localization: BTreeMap::new(),
             evaluation: None,
         }
     }

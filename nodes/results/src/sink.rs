@@ -3,11 +3,12 @@ use std::path::{Path, PathBuf};
 
 use realo_operator::{Books, Describe, Error, Inputs, Loss, Meaning, NoOutput, NodeBooks, Settings, Sink, Tally};
 use realo_schemas::report::{self, Fated, Peer, Phase, from_report};
-use realo_schemas::{Boxes, GroundTruth, Header, Kind, Name, Report};
+use realo_schemas::{AgentState, Boxes, GroundTruth, Header, Kind, Name, Report};
 use realo_scoring::{EvaluationReport, TOPIC};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use crate::localization::Estimates;
 use crate::progress::Progress;
 use crate::timing::Pace;
 use crate::{
@@ -94,6 +95,8 @@ pub struct Results {
     boxes: Sweeps,
     truth: Sweeps,
     realtime: bool,
+    /// Where agents said that they were, as far as that was estimated.
+    estimates: Estimates,
     /// What the ways from agents on other machines were like.
     courses: BTreeMap<String, Vec<Phase>>,
     /// Where nobody prepared the run, it speaks for itself.
@@ -112,6 +115,12 @@ pub enum Input {
     /// Topic `evaluation`, of the evaluator.
     #[port(optional, of(Ego))]
     Evaluation(Header, Report),
+    /// The ego's states.
+    #[port(optional, of(Ego))]
+    EgoState(Header, AgentState),
+    /// The collaborators' states.
+    #[port(optional, of(Others))]
+    States(Header, AgentState),
     /// Topic `peers`, of the radio.
     #[port(optional)]
     Peers(Header, Report),
@@ -147,6 +156,7 @@ impl Sink for Results {
             boxes: Sweeps::default(),
             truth: Sweeps::default(),
             realtime: false,
+            estimates: Estimates::default(),
             progress: settings.run_settings.as_os_str().is_empty().then(Progress::new),
             courses: BTreeMap::new(),
             out: settings.out,
@@ -163,6 +173,7 @@ impl Sink for Results {
             }
             Input::Truth(header, truth) => self.take_truth(&header, &truth),
             Input::Evaluation(header, report) => self.take_evaluation(document(&header, &report, TOPIC)?)?,
+            Input::EgoState(header, state) | Input::States(header, state) => self.estimates.add(&header, &state),
             Input::Peers(header, report) => {
                 let mut peers: Vec<Peer> = document(&header, &report, report::PEERS)?;
                 let courses = peers
@@ -184,7 +195,11 @@ impl Sink for Results {
     }
 
     fn finish(&mut self, books: &Books) -> Result<(), Error> {
-        let run = self.close(books);
+        let estimates = std::mem::take(&mut self.estimates);
+        let (frames, notes) = estimates.against(self.log_path.as_deref().map(Path::new));
+        self.samples.localization = frames;
+        let mut run = self.close(books);
+        run.result.notes.extend(notes);
         Ok(write_run_and_courses(&self.out, &run, &self.courses)?)
     }
 }

@@ -29,10 +29,18 @@ pub struct Record {
 impl Record {
     /// Forgets what is old by now: half of it in each `memory_s`.
     pub fn forget(&mut self, now: Nanos, memory_s: f64) {
-        let since = self.stamp.map_or(0.0, |last| to_seconds(now.saturating_sub(last)).max(0.0));
+        let since = self
+            .stamp
+            .map_or(0.0, |last| to_seconds(now.saturating_sub(last)).max(0.0));
         self.stamp = Some(self.stamp.map_or(now, |last| last.max(now)));
         let share = libm::exp2(-since / memory_s);
-        for what in [&mut self.confirmed, &mut self.contradicted, &mut self.corrected, &mut self.poses, &mut self.clocks] {
+        for what in [
+            &mut self.confirmed,
+            &mut self.contradicted,
+            &mut self.corrected,
+            &mut self.poses,
+            &mut self.clocks,
+        ] {
             *what *= share;
         }
     }

@@ -2,7 +2,7 @@ use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings, StreamKey};
 use realo_schemas::report::{Fate, ON_AIR, OnAir, Traffic, to_report};
-use realo_schemas::{AgentState, Header, Kind, Name, Nanos, Packet, Report};
+use realo_schemas::{AgentState, Header, Kind, Name, Nanos, Packet, PoseStatus, Report};
 use serde::{Deserialize, Serialize};
 
 use crate::{Arrivals, Medium, Model, Passed, Profile, transmit};
@@ -183,6 +183,10 @@ impl Link {
     }
 
     fn state(&mut self, header: Header, state: &AgentState, out: &mut Outputs<Output>) -> Result<(), LinkError> {
+        // An agent that does not know yet where it is is as one of which nothing came.
+        if state.status == PoseStatus::Init {
+            return Ok(());
+        }
         let t = &state.map_from_body.translation.vector;
         if !(t.x.is_finite() && t.y.is_finite()) {
             return Err(LinkError::Position(t.x, t.y));

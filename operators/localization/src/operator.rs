@@ -1,8 +1,15 @@
+use std::collections::{BTreeMap, BTreeSet};
+use std::path::PathBuf;
+
 use realo_operator::{Describe, Error, Inputs, Operator, Outputs, Settings, StreamKey};
-use realo_schemas::{AgentState, Header, Kind, Motion, PointCloud, Pose, PoseStatus};
+use realo_schemas::{AgentState, Header, Kind, Motion, Name, PointCloud, Pose, PoseStatus};
+use realo_state_estimation::{SettingsError, Unit};
 use serde::{Deserialize, Serialize};
 
-use crate::motion::{GNSS_FIXES, IMU_SAMPLES, MOTION_BACKWARDS, Order, WHEEL_SPEEDS};
+use crate::agent::{Agent, Rules};
+use crate::faults::{COUNTERS, DEAD_RECKONING, INIT, LOST, NO_MOTION, TRACKING};
+use crate::motion::Order;
+use crate::place::{Place, PlaceError};
 use crate::{PoseError, PoseNoise};
 
 /// Where poses come from.
@@ -14,6 +21,36 @@ pub enum Source {
     Recorded,
     /// True ones; any other is an error.
     True,
+    /// Estimated from IMU, GNSS and wheels.
+    Gnss,
+    /// Estimated from the same, and from each sweep by a map.
+    Map,
+}
+
+/// Which motion sensors the agents have.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Serialize, Deserialize)]
+#[serde(rename_all = "lowercase")]
+pub enum UnitChoice {
+    /// By the noise that each IMU says of itself; those that say nothing are as `consumer`.
+    #[default]
+    Auto,
+    /// MEMS chips, GNSS without corrections.
+    Consumer,
+    /// Fibre-optic gyroscopes, GNSS without corrections.
+    Tactical,
+    /// The same gyroscopes, GNSS with RTK.
+    Rtk,
+}
+
+impl UnitChoice {
+    fn unit(self) -> Option<Unit> {
+        match self {
+            UnitChoice::Auto => None,
+            UnitChoice::Consumer => Some(Unit::Consumer),
+            UnitChoice::Tactical => Some(Unit::Tactical),
+            UnitChoice::Rtk => Some(Unit::Rtk),
+        }
+    }
 }
 
 /// Which errors of poses are one.
@@ -30,8 +67,24 @@ pub enum NoiseDraws {
 /// Settings of localization.
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 pub struct Settings {
-    /// Poses that are taken: `recorded` (as the log gives them) or `true` (refuses any other).
+    /// Where poses come from: `recorded` (as the log gives them), `true` (refuses any other), `gnss` (estimated from IMU, GNSS and wheels)
+    /// or `map` (from the same and each sweep on a map).
+    #[setting(role = "localization")]
     pub source: Source,
+    /// With source=map, the map's file, made by `realo map build`.
+    #[setting(role = "map", path)]
+    pub map: PathBuf,
+    /// With source=gnss or map, the motion sensors: `auto` (by the noise that an IMU says of itself), `consumer`, `tactical` or `rtk`.
+    pub unit: UnitChoice,
+    /// With source=map, share of a sweep's points off the ground that must be near the map's surfaces.
+    #[setting(default = 0.4, range = 0.0..=1.0)]
+    pub min_share: f64,
+    /// With source=gnss or map, whether the motion within a sweep is removed by the estimated motion; set `deskew=false` at `sync` then, which
+    /// does it by recorded poses.
+    pub deskew: bool,
+    /// Agents that are roadside units, by name, separated by commas: they are localised once and held; others are vehicles.
+    #[setting(role = "roadside")]
+    pub roadside: String,
     /// Standard deviation of normal errors of x, y and z, m.
     #[setting(range = 0.0..=1000.0)]
     pub position_noise_m: f64,
@@ -118,16 +171,101 @@ pub enum LocalizationError {
         "setting `source`: expected true poses, found one that is {0:?}; play the log's true poses, or set source=recorded"
     )]
     NotTrue(PoseStatus),
+    /// No map.
+    #[error(
+        "setting `map`: expected a file made by `realo map build` with source=map, found none; set map=FILE or source=gnss"
+    )]
+    NoMap,
+    /// A map that is not looked at.
+    #[error("setting `map`: it is used with source=map alone; set source=map or leave it out")]
+    UnusedMap,
+    /// A map that is none.
+    #[error("setting `map`: {0}")]
+    Map(#[from] PlaceError),
+    /// Sensors that cannot be where they are.
+    #[error("the agent's motion sensors: {0}")]
+    Sensors(#[from] SettingsError),
     /// A state alone.
     #[error("a state whose sweep did not come before it")]
     NoSweep,
 }
 
-/// Says where each agent is at each sweep: the pose that the log gives, with noise if asked for.
+/// Estimates where agents are.
+struct Estimation {
+    rules: Rules,
+    roadside: BTreeSet<Name>,
+    place: Option<Place>,
+    deskew: bool,
+    agents: BTreeMap<Name, Agent>,
+}
+
+impl Estimation {
+    /// Of the settings; `None` where poses are not estimated.
+    fn of(settings: &Settings) -> Result<Option<Self>, LocalizationError> {
+        let has_file = !settings.map.as_os_str().is_empty();
+        let place = match (settings.source, has_file) {
+            (Source::Map, false) => return Err(LocalizationError::NoMap),
+            (Source::Map, true) => Some(Place::open(&settings.map, settings.min_share)?),
+            (_, true) => return Err(LocalizationError::UnusedMap),
+            (Source::Gnss, false) => None,
+            (Source::Recorded | Source::True, false) => return Ok(None),
+        };
+        let names = settings.roadside.split(',').map(str::trim);
+        Ok(Some(Estimation {
+            rules: Rules {
+                unit: settings.unit.unit(),
+                has_map: place.is_some(),
+            },
+            roadside: names.filter(|name| !name.is_empty()).map(Name::from).collect(),
+            place,
+            deskew: settings.deskew,
+            agents: BTreeMap::new(),
+        }))
+    }
+
+    fn agent(&mut self, name: &Name) -> &mut Agent {
+        let is_roadside = self.roadside.contains(name);
+        self.agents
+            .entry(name.clone())
+            .or_insert_with(|| Agent::new(is_roadside))
+    }
+
+    /// The state of an agent at a sweep, and the sweep.
+    fn locate(
+        &mut self,
+        header: &Header,
+        mut cloud: PointCloud,
+        recorded: &AgentState,
+        out: &mut Outputs<Output>,
+    ) -> (AgentState, PointCloud) {
+        let name = header.agent.clone();
+        self.agent(&name).survey(recorded);
+        let Estimation { agents, place, .. } = self;
+        let Some(agent) = agents.get_mut(&name) else {
+            return (recorded.clone(), cloud);
+        };
+        if self.deskew
+            && let Some(deskewed) = agent.deskewed(header, &cloud)
+        {
+            cloud = deskewed;
+        }
+        let state = agent.locate(header, &cloud, place.as_mut(), out);
+        let is = |status| u64::from(state.status == status);
+        out.count(&TRACKING, &name, is(PoseStatus::Tracking));
+        out.count(&DEAD_RECKONING, &name, is(PoseStatus::DeadReckoning));
+        out.count_of(&INIT, &name, is(PoseStatus::Init), 1);
+        out.count_of(&LOST, &name, is(PoseStatus::Lost), 1);
+        out.count_of(&NO_MOTION, &name, u64::from(!agent.has_motion()), 1);
+        (state, cloud)
+    }
+}
+
+/// Says where each agent is at each sweep: the pose that the log gives, or that its sensors and a map give; with noise if asked for.
 #[derive(Describe)]
-#[stage(counters(IMU_SAMPLES, GNSS_FIXES, WHEEL_SPEEDS, MOTION_BACKWARDS))]
+#[stage(counters = COUNTERS)]
 pub struct Localization {
     source: Source,
+    estimation: Option<Estimation>,
     noise: Option<Noise>,
     /// The sweep whose state comes next.
     sweep: Option<(Header, PointCloud)>,
@@ -137,7 +275,7 @@ pub struct Localization {
 /// What comes in.
 #[derive(Debug, Inputs)]
 pub enum Input {
-    /// What motion sensors measured since the message before; counted, and not used yet.
+    /// What motion sensors measured since the message before; used with `source=gnss` or `map`.
     #[port(optional)]
     Motion(Header, Motion),
     /// Sweeps in the body frame at their stamp.
@@ -151,7 +289,7 @@ pub enum Input {
 /// What it sends.
 #[derive(Debug, Outputs)]
 pub enum Output {
-    /// The sweeps with the estimated pose.
+    /// The sweeps with the estimated pose; without one while the agent does not know where it is.
     Clouds(Header, PointCloud),
     /// The estimated pose and motion at the sweep's stamp.
     State(Header, AgentState),
@@ -162,6 +300,7 @@ impl Operator for Localization {
         Ok(Localization {
             noise: noise_of(&settings)?,
             source: settings.source,
+            estimation: Estimation::of(&settings)?,
             sweep: None,
             order: Order::default(),
         })
@@ -169,7 +308,16 @@ impl Operator for Localization {
 
     fn on_input(&mut self, input: Input, out: &mut Outputs<Output>) -> Result<(), Error> {
         match input {
-            Input::Motion(header, motion) => self.order.count(&header, &motion, out),
+            Input::Motion(header, motion) => {
+                self.order.count(&header, &motion, out);
+                if let Some(estimation) = &mut self.estimation {
+                    let rules = estimation.rules;
+                    let agent = estimation.agent(&header.agent);
+                    agent
+                        .measure(&header, &motion, &rules, out)
+                        .map_err(LocalizationError::from)?;
+                }
+            }
             Input::Clouds(header, cloud) => self.sweep = Some((header, cloud)),
             Input::States(state_header, prior) => {
                 let sweep = self.sweep.take();
@@ -178,23 +326,23 @@ impl Operator for Localization {
                         == (&state_header.agent, state_header.seq, state_header.stamp)
                 };
                 let (cloud_header, cloud) = sweep.filter(same).ok_or(LocalizationError::NoSweep)?;
-                let mut state = localize(self.source, prior)?;
+                let (mut state, cloud) = match &mut self.estimation {
+                    Some(estimation) => estimation.locate(&cloud_header, cloud, &prior, out),
+                    None => (localize(self.source, prior)?, cloud),
+                };
                 if let Some(noise) = &self.noise {
                     state = noise.of(&state_header, state);
                 }
-                let pose = Pose {
+                let pose = state.status.is_usable().then(|| Pose {
                     map_from_frame: state.map_from_body,
                     covariance: state.covariance.clone(),
-                };
+                });
                 let state_header = Header {
-                    pose: Some(pose.clone()),
+                    pose: pose.clone(),
                     ..state_header
                 };
                 out.send(Output::State(state_header, state));
-                let cloud_header = Header {
-                    pose: Some(pose),
-                    ..cloud_header
-                };
+                let cloud_header = Header { pose, ..cloud_header };
                 out.send(Output::Clouds(cloud_header, cloud));
             }
         }

@@ -4,11 +4,13 @@
 //! - A [`Collector`] joins truth and boxes into [`Frame`]s; the frames of several runs can be [`pool`]ed exactly.
 //! - [`score`] makes the table: two orders of detections, objects of all agents and those that the ego sees; and HOTA and errors of
 //!   velocities where detections have identities.
+//! - [`LocalizationScores`]: how far estimated poses of agents are from true ones.
 
 mod collect;
 mod frame;
 pub mod hota;
 mod intervals;
+mod localization;
 mod matching;
 mod precision;
 mod protocol;
@@ -25,6 +27,7 @@ use serde::{Deserialize, Serialize};
 pub use collect::{Collector, EvaluationError, evaluate};
 pub use frame::{Detection, Dropped, Evaluation, Frame, Ignored, InNoView, Outline, PoolError, Scene, Truth, pool};
 pub use intervals::{Bounds, Intervals};
+pub use localization::{ErrorSpread, LocalizationFrame, LocalizationScores, NEES_BAND, PoseDifference};
 pub use matching::{Outcome, Scope, match_frame};
 pub use precision::average_precision;
 pub use protocol::{EgoKind, Labels, OutsideViews, Protocol, ProtocolError, Rule, SuperClass};

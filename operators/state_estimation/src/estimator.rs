@@ -69,6 +69,11 @@ impl Estimator {
         })
     }
 
+    /// Says where the antenna and the wheels' axle are in the body frame, m, once their first samples say it.
+    pub fn remount(&mut self, antenna_in_body: &Vector3<f64>, axle_in_body: &Vector3<f64>) {
+        self.rules.remount(antenna_in_body, axle_in_body);
+    }
+
     /// Takes a sample. What is wrong with it is the verdict, and counted in [`Self::faults`].
     pub fn take(&mut self, sample: &Sample) -> Verdict {
         let stamp = sample.stamp();

@@ -20,13 +20,22 @@ pub struct HoldSettings {
     pub scans: u32,
     /// Scans that contradict the held pose for so long mean that the unit was moved, ns.
     pub moved: Nanos,
+    /// How the unit is turned in `map`, where a survey says so: then the mean of fixes is enough, without scans.
+    pub surveyed: Option<UnitQuaternion<f64>>,
+    /// So many fixes are averaged for it.
+    pub fixes: u32,
 }
+
+/// Standard deviation of each turn of a surveyed attitude, rad.
+const SURVEYED_TURN: f64 = 1e-3;
 
 impl Default for HoldSettings {
     fn default() -> Self {
         HoldSettings {
             scans: 10,
             moved: from_seconds(5.0),
+            surveyed: None,
+            fixes: 40,
         }
     }
 }
@@ -86,7 +95,7 @@ impl HoldEstimator {
     pub fn take(&mut self, sample: &Sample) -> Verdict {
         let stamp = sample.stamp();
         let taken = self.rules.check(sample).and_then(|checked| match checked {
-            Checked::Gnss(fix) => self.take_fix(&fix),
+            Checked::Gnss(fix) => self.take_fix(stamp, &fix),
             Checked::Scan(scan) => self.take_scan(stamp, &scan),
             Checked::Imu(_) | Checked::Wheel(_) => Ok(()),
         });
@@ -100,7 +109,10 @@ impl HoldEstimator {
         }
     }
 
-    fn take_fix(&mut self, fix: &LocalFix) -> Result<(), Fault> {
+    fn take_fix(&mut self, stamp: Nanos, fix: &LocalFix) -> Result<(), Fault> {
+        if !fix.has_height {
+            self.faults.note(Fault::GnssHeightZero, stamp);
+        }
         let last = self.fixes.last.replace(*fix);
         if last.is_some_and(|last| last.position == fix.position) {
             return Err(Fault::GnssFrozen);
@@ -110,7 +122,37 @@ impl HoldEstimator {
         }
         self.fixes.count += 1.0;
         self.fixes.position += (fix.position - self.fixes.position) / self.fixes.count;
+        if let Some(attitude) = self.settings.surveyed
+            && self.held.is_none()
+            && self.fixes.count >= f64::from(self.settings.fixes.max(1))
+        {
+            self.held = Some(self.mean_of_fixes(fix, attitude));
+        }
         Ok(())
+    }
+
+    /// The pose by the mean of fixes and a surveyed attitude; what wanders does not average in so short a time.
+    fn mean_of_fixes(&self, fix: &LocalFix, attitude: UnitQuaternion<f64>) -> (Isometry3<f64>, Matrix6<f64>) {
+        let [wander, white] = fix.split(&self.rules);
+        let position = wander.component_mul(&wander) + white / self.fixes.count;
+        let turn = SURVEYED_TURN * SURVEYED_TURN;
+        let diagonal = Vector6::new(position.x, position.y, position.z, turn, turn, turn);
+        let antenna = self.rules.body_from_imu * nalgebra::Point3::from(self.rules.antenna_in_imu);
+        let origin = self.fixes.position - attitude * antenna.coords;
+        (
+            Isometry3::from_parts(origin.into(), attitude),
+            Matrix6::from_diagonal(&diagonal),
+        )
+    }
+
+    /// Says where the antenna is in the body frame, m, once its first fix says it.
+    pub fn remount(&mut self, antenna_in_body: &Vector3<f64>) {
+        self.rules.remount(antenna_in_body, &Vector3::zeros());
+    }
+
+    /// The place of the antenna by the mean of fixes, m in `map`, and the number of fixes; `None` before the first.
+    pub fn antenna(&self) -> Option<(Vector3<f64>, f64)> {
+        (self.fixes.count > 0.0).then_some((self.fixes.position, self.fixes.count))
     }
 
     /// Whether a place can be that of a fix, east and north.

@@ -43,6 +43,6 @@ pub use estimate::{Estimate, Status};
 pub use estimator::{Estimator, Verdict};
 pub use fault::{Fault, Faults};
 pub use hold::{HoldEstimator, HoldSettings};
-pub use sample::{GnssFix, ImuSample, Sample, ScanPose, WheelSpeed, information_at_body};
+pub use sample::{GnssFix, ImuSample, MapFix, Sample, ScanPose, WheelSpeed, information_at_body};
 pub use settings::{Earth, Limits, Mounting, ScanNoise, Settings, SettingsError};
-pub use unit::{Unit, UnitNoise};
+pub use unit::{Inertial, Receiver, STANDARD_GRAVITY, Unit, UnitNoise, Wheels};

@@ -10,8 +10,8 @@ use crate::{Earth, UnitNoise};
 const COAST_ACCELERATION: f64 = 3.0;
 /// Angular rates of such a vehicle, rad/s/√Hz.
 const COAST_RATE: f64 = 0.3;
-/// Time over which a bias moves by its in-run part, s.
-const BIAS_S: f64 = 100.0;
+/// Time over which a vehicle turns the same way, s: so long an error of the gyro's scale adds up.
+const TURNING_S: f64 = 4.0;
 /// How the wheels' scale walks, 1/√s.
 const SCALE_WALK: f64 = 2e-5;
 
@@ -54,7 +54,10 @@ impl Belief {
         set(&mut step, ATTITUDE, ATTITUDE, &back.to_rotation_matrix().into_inner());
         set(&mut step, ATTITUDE, GYRO_BIAS, &(Matrix3::identity() * -dt));
         self.carry(&step, dt, [noise.accel_noise, noise.gyro_noise], noise);
-        let [turning, pushing] = increment.spread;
+        let [mut turning, pushing] = increment.spread;
+        if dt > 0.0 {
+            turning += turn.map(|turn| noise.gyro_scale * noise.gyro_scale * turn * turn * TURNING_S / dt);
+        }
         let pushing = rotation * Matrix3::from_diagonal(&pushing) * rotation.transpose();
         for (state, spread) in [(ATTITUDE, Matrix3::from_diagonal(&turning)), (VELOCITY, pushing)] {
             let mut block = self.covariance.fixed_view_mut::<3, 3>(state, state);
@@ -83,7 +86,7 @@ impl Belief {
         set(&mut step, WANDER, WANDER, &(Matrix3::identity() * decay));
         self.wander *= decay;
         self.covariance = step * self.covariance * step.transpose();
-        let bias = |in_run: f64| in_run * in_run * 2.0 / BIAS_S * dt;
+        let bias = |in_run: f64| in_run * in_run * 2.0 / noise.bias_s * dt;
         for axis in 0..3 {
             let mut add = |row: usize, variance: f64| self.covariance[(row + axis, row + axis)] += variance;
             add(VELOCITY, force * force * dt);

@@ -1,12 +1,12 @@
 //! Settings as the filter uses them.
 
 use nalgebra::{Isometry3, Matrix6, SymmetricEigen, Vector3};
-use realo_geodesy::LocalFrame;
+use realo_geodesy::{FAR_M, LocalFrame};
 use realo_schemas::Nanos;
 
 use crate::fault::Fault;
 use crate::models::{LocalFix, LocalScan};
-use crate::{Earth, GnssFix, ImuSample, Limits, Sample, ScanNoise, ScanPose, Settings, UnitNoise};
+use crate::{Earth, GnssFix, ImuSample, Limits, MapFix, Sample, ScanNoise, ScanPose, Settings, UnitNoise};
 
 /// Stamps lie within plus and minus so much, ns: until 2116.
 const LATEST: Nanos = Nanos::MAX / 2;
@@ -61,6 +61,12 @@ impl Rules {
         }
     }
 
+    /// Takes over where the antenna and the wheels' axle are, which do not change what was believed before.
+    pub fn remount(&mut self, antenna_in_body: &Vector3<f64>, axle_in_body: &Vector3<f64>) {
+        let in_imu = |point: &Vector3<f64>| (self.imu_from_body * nalgebra::Point3::from(*point)).coords;
+        (self.antenna_in_imu, self.axle_in_imu) = (in_imu(antenna_in_body), in_imu(axle_in_body));
+    }
+
     /// Looks at a sample by itself.
     ///
     /// # Errors
@@ -76,6 +82,7 @@ impl Rules {
             Sample::Wheel(wheel) if wheel.speed.abs() <= FASTEST => Ok(Checked::Wheel(wheel.speed)),
             Sample::Wheel(_) => Err(Fault::WheelNotFinite),
             Sample::Gnss(fix) => self.check_fix(fix).map(Checked::Gnss),
+            Sample::Fix(fix) => self.check_map_fix(fix).map(Checked::Gnss),
             Sample::Scan(scan) => self.check_scan(scan).map(|scan| Checked::Scan(Box::new(scan))),
         }
     }
@@ -104,18 +111,42 @@ impl Rules {
     fn check_fix(&self, fix: &GnssFix) -> Result<LocalFix, Fault> {
         let place = &fix.place;
         let numbers = [place.latitude_deg, place.longitude_deg, place.height_m];
-        let squared = self.noise.gnss.map(|sigma| sigma * sigma);
-        let variance = Vector3::from(fix.variance.unwrap_or(squared));
-        let is_variance = |v: &f64| *v > 0.0 && v.is_finite();
-        if !numbers.iter().all(|number| number.is_finite()) || !variance.iter().all(is_variance) {
+        if !numbers.iter().all(|number| number.is_finite()) {
             return Err(Fault::GnssNotFinite);
         }
         let position = self.frame.local_of(place).map_err(|_| Fault::GnssElsewhere)?;
         Ok(LocalFix {
             position,
-            variance,
+            variance: self.gnss_variance(fix.variance)?,
             has_height: place.height_m != 0.0,
         })
+    }
+
+    fn check_map_fix(&self, fix: &MapFix) -> Result<LocalFix, Fault> {
+        let position = fix.position;
+        if !position.iter().all(|number| number.is_finite()) {
+            return Err(Fault::GnssNotFinite);
+        }
+        // In another zone; a height that is not known says nothing.
+        if position.xy().norm() > FAR_M {
+            return Err(Fault::GnssElsewhere);
+        }
+        Ok(LocalFix {
+            position,
+            variance: self.gnss_variance(fix.variance)?,
+            has_height: fix.has_height,
+        })
+    }
+
+    /// The variance of a fix, m²: what the receiver reports, else that of the unit.
+    fn gnss_variance(&self, reported: Option<[f64; 3]>) -> Result<Vector3<f64>, Fault> {
+        let squared = self.noise.gnss.map(|sigma| sigma * sigma);
+        let variance = Vector3::from(reported.unwrap_or(squared));
+        let is_variance = |v: &f64| *v > 0.0 && v.is_finite();
+        match variance.iter().all(is_variance) {
+            true => Ok(variance),
+            false => Err(Fault::GnssNotFinite),
+        }
     }
 
     fn check_scan(&self, scan: &ScanPose) -> Result<LocalScan, Fault> {
@@ -175,6 +206,7 @@ impl Sample {
             Sample::Imu(imu) => imu.stamp,
             Sample::Wheel(wheel) => wheel.stamp,
             Sample::Gnss(fix) => fix.stamp,
+            Sample::Fix(fix) => fix.stamp,
             Sample::Scan(scan) => scan.stamp,
         }
     }

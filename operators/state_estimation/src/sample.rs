@@ -26,6 +26,19 @@ pub struct GnssFix {
     pub variance: Option<[f64; 3]>,
 }
 
+/// A position by GNSS that somebody has taken to `map` already.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct MapFix {
+    /// When it was measured.
+    pub stamp: Nanos,
+    /// Where the antenna is in `map`, m.
+    pub position: Vector3<f64>,
+    /// Whether the height is known.
+    pub has_height: bool,
+    /// Variances east, north and up as the receiver reports them, m²; those of the unit without.
+    pub variance: Option<[f64; 3]>,
+}
+
 /// Speed by the turning of the wheels.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct WheelSpeed {
@@ -56,6 +69,8 @@ pub enum Sample {
     Wheel(WheelSpeed),
     /// Of the GNSS receiver.
     Gnss(GnssFix),
+    /// The same, in `map`.
+    Fix(MapFix),
     /// Of registration.
     Scan(Box<ScanPose>),
 }

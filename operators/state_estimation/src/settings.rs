@@ -2,7 +2,7 @@ use nalgebra::{Isometry3, Vector3};
 use realo_geodesy::{LocalFrame, earth_rate, normal_gravity};
 use realo_schemas::{Nanos, from_seconds};
 
-use crate::{Unit, UnitNoise};
+use crate::{STANDARD_GRAVITY, Unit, UnitNoise};
 
 /// Where an agent's sensors are.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -37,7 +37,7 @@ pub struct Earth {
 impl Earth {
     /// As simulators have it: standard gravity, and a map that does not turn.
     pub const SIMULATED: Earth = Earth {
-        gravity: 9.806_65,
+        gravity: STANDARD_GRAVITY,
         rate: Vector3::new(0.0, 0.0, 0.0),
     };
 
@@ -148,11 +148,13 @@ impl Settings {
             ("noise.gyro_noise", noise.gyro_noise),
             ("noise.gyro_bias_start", noise.gyro_bias_start),
             ("noise.gyro_bias_in_run", noise.gyro_bias_in_run),
+            ("noise.gyro_scale", noise.gyro_scale),
             ("noise.gyro_range", noise.gyro_range),
             ("noise.accel_noise", noise.accel_noise),
             ("noise.accel_bias_start", noise.accel_bias_start),
             ("noise.accel_bias_in_run", noise.accel_bias_in_run),
             ("noise.accel_range", noise.accel_range),
+            ("noise.bias_s", noise.bias_s),
             ("noise.gnss", east.min(north).min(up)),
             ("noise.gnss", east + north + up),
             ("noise.gnss_wander_s", noise.gnss_wander_s),

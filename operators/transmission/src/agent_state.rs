@@ -9,15 +9,9 @@ const COVARIANCE: u8 = 1;
 const VELOCITY: u8 = 2;
 const RATE: u8 = 4;
 
-const STATUSES: [PoseStatus; 3] = [PoseStatus::Truth, PoseStatus::Recorded, PoseStatus::Extrapolated];
-
 pub(crate) fn write(out: &mut Vec<u8>, state: &AgentState) -> Result<(), EncodeError> {
     let flag = |set: bool, flag: u8| if set { flag } else { 0 };
-    let status = match state.status {
-        PoseStatus::Truth => 0,
-        PoseStatus::Recorded => 1,
-        PoseStatus::Extrapolated => 2,
-    };
+    let status = state.status as u8;
     let flags = flag(state.covariance.is_some(), COVARIANCE)
         | flag(state.velocity.is_some(), VELOCITY)
         | flag(state.angular_rate.is_some(), RATE);
@@ -40,10 +34,10 @@ pub(crate) fn read(bytes: &mut Reader) -> Result<AgentState, DecodeError> {
     let code = bytes.u8("status")?;
     let unknown = || DecodeError::Value {
         field: "status",
-        expected: "0 to 2",
+        expected: "0 to 6",
         found: code.to_string(),
     };
-    let status = *STATUSES.get(usize::from(code)).ok_or_else(unknown)?;
+    let status = *PoseStatus::ALL.get(usize::from(code)).ok_or_else(unknown)?;
     Ok(AgentState {
         map_from_body: bytes.pose("map_from_body")?,
         covariance: if flags & COVARIANCE == 0 {

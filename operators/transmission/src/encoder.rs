@@ -3,7 +3,7 @@ use std::collections::BTreeMap;
 use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings};
 use realo_schemas::geometry::{is_valid, relative, transform_box};
 use realo_schemas::report::{ON_AIR, OnAir, from_report};
-use realo_schemas::{Box3, Boxes, Elements, Header, Message, Name, Packet, Payload, Report};
+use realo_schemas::{Box3, Boxes, Elements, Header, Message, Name, Packet, Payload, Report, body_frame};
 use serde::{Deserialize, Serialize};
 
 use crate::cells::Covering;
@@ -82,7 +82,8 @@ pub struct Settings {
     DROPPED_PACKETS,
     OUT_OF_RANGE_BOXES,
     SURPLUS_BOXES,
-    UNTRACKED_BOXES
+    UNTRACKED_BOXES,
+    UNPLACED_MESSAGES
 ))]
 pub struct TransmissionEncoder {
     encoder: Encoder,
@@ -183,6 +184,12 @@ const UNTRACKED_BOXES: Counter = Counter::loss(
     "boxes were sent without their track, because another box of the message has the same track, or one with the same number of \
      16 bits, which is all that a CPM has",
     "`--set {node}.boxes=plain` sends tracks of 64 bits; tracks up to 65,535 keep their number",
+);
+const UNPLACED_MESSAGES: Counter = Counter::loss(
+    "unplaced_messages",
+    "messages in the sender's own frame that were not sent: it did not know where it was",
+    "messages were not sent, because the agent did not know where it was",
+    "localization says why: look at its notes, or at the agent's poses (`realo info`)",
 );
 
 /// What comes in.
@@ -343,6 +350,14 @@ impl Operator for TransmissionEncoder {
     }
 
     fn on_input(&mut self, input: Input, out: &mut Outputs<Output>) -> Result<(), Error> {
+        if let Input::Messages(Message { header, .. }) | Input::Detected(header, _) = &input {
+            // Nobody can use what is in a frame that nobody knows the place of.
+            let is_unplaced = header.pose.is_none() && header.frame == body_frame(&header.agent);
+            out.count_of(&UNPLACED_MESSAGES, &header.agent, u64::from(is_unplaced), 1);
+            if is_unplaced {
+                return Ok(());
+            }
+        }
         match input {
             Input::Messages(message) => match message.payload {
                 Payload::FeatureMap(_) if self.detected => self.take_map(message, out),

@@ -49,8 +49,8 @@
 //! one plus a sum modulo 256 to the power of the width: that of the differences up to it in its lane, or up to it in the column
 //! where there are no lanes. Differences 0, -1, 1, -2 and so on cross as 0, 1, 2, 3; first byte 0 of all, then byte 1.
 //!
-//! AgentState: flags (u8: 1 covariance, 2 velocity, 4 angular rate), status (u8: 0 truth, 1 recorded, 2 extrapolated),
-//! pose, triangle of the 6×6 covariance, velocity x y z (f64, m/s in `map`), angular rate x y z (f64, rad/s).
+//! AgentState: flags (u8: 1 covariance, 2 velocity, 4 angular rate), status (u8: 0 truth, 1 recorded, 2 extrapolated, 3 init,
+//! 4 tracking, 5 dead reckoning, 6 lost), pose, triangle of the 6×6 covariance, velocity x y z (f64, m/s in `map`), angular rate x y z (f64, rad/s).
 //!
 //! Features: rows, columns, channels (u32), cell (f64, m), origin x y (f64, m), element type of the map (u8: 0 f32, 1 f16,
 //! 2 bf16, 3 u8), model (text: its name and a hash of model file and weights), conversion of f32 (u8: 0 none, 1 f16, 2 int8),

@@ -81,7 +81,7 @@ fn message(draw: &mut Draw) -> Message {
             covariance: draw.chance(2).then(|| Box::new([0.5; 36])),
             velocity: draw.chance(2).then(|| Vector3::new(1.0, 2.0, 3.0)),
             angular_rate: draw.chance(2).then(|| Vector3::new(0.0, 0.0, 0.125)),
-            status: draw.pick(&[PoseStatus::Truth, PoseStatus::Recorded, PoseStatus::Extrapolated]),
+            status: draw.pick(&PoseStatus::ALL),
         }
         .into(),
         _ => {

@@ -4,6 +4,9 @@ use super::*;
 use crate::motion::{MOST_APART, MOST_SAMPLES, Taken};
 use crate::{FixQuality, GnssFix, ImuSample, Motion, Nanos, WheelSpeed};
 
+/// What is added to the number of a position's quality where its height is not known.
+const NO_HEIGHT: u8 = 16;
+
 pub(super) fn write(motion: &Motion, row: &mut Builder) {
     times(row, "imu", motion.imu.iter().map(|sample| sample.taken));
     row.list(
@@ -22,7 +25,8 @@ pub(super) fn write(motion: &Motion, row: &mut Builder) {
     row.list("fix_position", vectors(motion.fixes.iter().map(|fix| fix.position)));
     let covariances = motion.fixes.iter().map(|fix| fix.covariance);
     row.list("fix_covariance", optional(covariances));
-    let qualities = motion.fixes.iter().map(|fix| fix.quality.code());
+    let code = |fix: &GnssFix| fix.quality.code() + if fix.has_height { 0 } else { NO_HEIGHT };
+    let qualities = motion.fixes.iter().map(code);
     row.list("fix_quality", UInt8Array::from_iter_values(qualities));
     times(row, "wheel", motion.wheels.iter().map(|wheel| wheel.taken));
     row.list_f64("wheel_speed", motion.wheels.iter().map(|wheel| wheel.speed).collect());
@@ -100,12 +104,14 @@ fn read_fixes(row: &Row) -> Result<Vec<GnssFix>, WireError> {
     let qualities = row.list::<UInt8Array>("fix_quality")?;
     as_many("fix_quality", qualities.len(), taken.len())?;
     let fix = |at: usize| {
-        let quality = FixQuality::of_code(qualities.value(at).into());
+        let code = qualities.value(at);
+        let quality = FixQuality::of_code((code & !NO_HEIGHT).into());
         let unknown = || WireError::content("fix_quality", format!("unknown number {}", qualities.value(at)));
         Ok(GnssFix {
             taken: taken[at],
             position: positions[at].ok_or_else(|| WireError::content("fix_position", "is null"))?,
             covariance: covariances[at],
+            has_height: code & NO_HEIGHT == 0,
             quality: quality.ok_or_else(unknown)?,
         })
     };

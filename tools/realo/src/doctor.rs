@@ -62,6 +62,8 @@ pub fn main(args: &Args) -> Result<Outcome> {
 fn first_choice(choices: &Choices) -> Option<&'static str> {
     let Choices {
         link,
+        localization,
+        map,
         recorded_detections,
         model,
         stamps,
@@ -75,6 +77,8 @@ fn first_choice(choices: &Choices) -> Option<&'static str> {
     } = choices;
     let given = [
         ("--link", link.is_some()),
+        ("--localization", localization.is_some()),
+        ("--map", map.is_some()),
         ("--recorded-detections", *recorded_detections),
         ("--model", model.is_some()),
         ("--stamps", stamps.is_some()),

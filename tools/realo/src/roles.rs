@@ -20,6 +20,10 @@ pub const OFFLINE: &str = "offline";
 pub const RATE: &str = "rate";
 /// Whether sweeps have points.
 pub const POINTS: &str = "points";
+/// Where poses come from.
+pub const LOCALIZATION: &str = "localization";
+/// The map on which sweeps are looked for, a path.
+pub const MAP: &str = "map";
 /// Whether the log's detections are played.
 pub const DETECTIONS: &str = "detections";
 /// Whether what the log has precomputed is played.
@@ -70,6 +74,8 @@ mod tests {
         DETECTIONS,
         PRECOMPUTED,
         STAMPS,
+        LOCALIZATION,
+        MAP,
         LINK,
         SEED,
         PROTOCOL,

@@ -196,7 +196,7 @@ fn traffic(columns: &mut Columns) {
     });
 }
 
-const SETTINGS: [Setting; 15] = [
+const SETTINGS: [Setting; 16] = [
     ("graph", |settings| &settings.graph),
     ("mode", |settings| &settings.mode),
     ("coop", |settings| &settings.coop),
@@ -205,6 +205,7 @@ const SETTINGS: [Setting; 15] = [
     settings::COMPUTE,
     settings::SEED,
     settings::PROJECT,
+    settings::POSE_SOURCE,
     settings::PRECOMPUTED,
     settings::MODEL,
     settings::ISA,

@@ -41,13 +41,14 @@ pub fn of_data(runs: &[(&str, &Run)]) -> Vec<String> {
 /// A setting, and what stands where it has no value; without that, such runs cannot choose it.
 type Named = (Setting, Option<&'static str>);
 
-const SETTINGS: [Named; 8] = [
+const SETTINGS: [Named; 9] = [
     (("mode", |settings| &settings.mode), Some("not known")),
     (("coop", |settings| &settings.coop), Some("not known")),
     (settings::LINK, None),
     (settings::SEED, None),
     (settings::COMPUTE, Some("none")),
     (settings::PROJECT, None),
+    (settings::POSE_SOURCE, Some("recorded")),
     (settings::PRECOMPUTED, Some("none")),
     (settings::RATE, Some("not set")),
 ];

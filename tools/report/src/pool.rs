@@ -79,7 +79,7 @@ pub fn pool(runs: &[Run]) -> Result<Run, PoolError> {
 }
 
 fn same(one: &Settings, other: &Settings) -> Result<(), PoolError> {
-    let settings: [Setting; 12] = [
+    let settings: [Setting; 13] = [
         ("graph", |s| &s.graph),
         settings::GRAPH_HASH,
         ("mode", |s| &s.mode),
@@ -89,6 +89,7 @@ fn same(one: &Settings, other: &Settings) -> Result<(), PoolError> {
         settings::ISA,
         settings::MODEL,
         settings::PROJECT,
+        settings::POSE_SOURCE,
         settings::SET,
         settings::PROGRAMS,
         settings::RATE,
@@ -116,6 +117,9 @@ fn pool_samples(runs: &[&Run]) -> Result<Samples, PoolError> {
     if let Some(first) = runs.first() {
         samples.graph.clone_from(&first.samples.graph);
         samples.given.clone_from(&first.samples.given);
+    }
+    for (agent, frames) in runs.iter().flat_map(|run| &run.samples.localization) {
+        samples.localization.entry(agent.clone()).or_default().extend(frames);
     }
     for (log, hash) in runs.iter().flat_map(|run| &run.samples.logs) {
         samples.logs.insert(log.clone(), hash.clone());

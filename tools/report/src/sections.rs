@@ -1,6 +1,7 @@
 //! What a table shows, section by section.
 
 mod clocks;
+mod localization;
 mod objects;
 mod scores;
 mod times;
@@ -16,7 +17,7 @@ use realo_scoring::Table;
 use crate::cells::{alarm, count, spread};
 use crate::columns::{OFFLINE, STATE};
 use crate::foot::V2X_REAL;
-use crate::settings::{ISA, MODEL, PRECOMPUTED, PROGRAMS, PROJECT, RATE, SEED, SET, Setting, is_given};
+use crate::settings::{ISA, MODEL, POSE_SOURCE, PRECOMPUTED, PROGRAMS, PROJECT, RATE, SEED, SET, Setting, is_given};
 pub use clocks::said as said_of_clocks;
 use clocks::{clocks, has_clocks};
 use objects::{detections, recall};
@@ -133,6 +134,19 @@ impl Contents<'_> {
                 self.section("velocity error, m/s: all / moving", velocities),
             ]);
         }
+        if self.runs.iter().any(|run| run.result.localization.is_some()) {
+            sections.extend([
+                self.section(
+                    "position error on the ground, m: mean / 95 % / max",
+                    localization::positions,
+                ),
+                self.section("heading error, degrees: mean / 95 % / max", localization::headings),
+                self.section(
+                    "localization, % of sweeps: tracking / dead reckoning / init / lost / NEES inside its 95 % band",
+                    localization::statuses,
+                ),
+            ]);
+        }
         if self.full {
             sections.extend([
                 self.section(format!("recall / precision, IoU {strict}"), |rows| {
@@ -203,7 +217,7 @@ fn names<'a>(names: impl Iterator<Item = &'a String>) -> Vec<String> {
 }
 
 /// Settings that are shown if a run has them.
-const RARE: [Setting; 5] = [PROJECT, PRECOMPUTED, SET, PROGRAMS, RATE];
+const RARE: [Setting; 6] = [PROJECT, POSE_SOURCE, PRECOMPUTED, SET, PROGRAMS, RATE];
 /// Settings that nearly every run has; among the main rows only if they differ, or if somebody chose them.
 const USUAL: [Setting; 3] = [SEED, MODEL, ISA];
 

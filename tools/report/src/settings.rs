@@ -16,6 +16,8 @@ pub const LINK: Setting = ("link", |settings| &settings.link);
 pub const COMPUTE: Setting = ("compute", |settings| &settings.compute);
 pub const SEED: Setting = ("seed", |settings| &settings.seed);
 pub const PROJECT: Setting = ("project", |settings| &settings.project);
+/// Where poses were estimated from.
+pub const POSE_SOURCE: Setting = ("pose_source", |settings| &settings.pose_source);
 pub const PRECOMPUTED: Setting = ("precomputed", |settings| &settings.precomputed);
 pub const MODEL: Setting = ("model", |settings| &settings.model);
 pub const ISA: Setting = ("isa", |settings| &settings.isa);
@@ -114,6 +116,7 @@ fn facts(runs: &[&Run]) -> Vec<Fact> {
         setting(SEED),
         setting(COMPUTE),
         setting(PROJECT),
+        setting(POSE_SOURCE),
         setting(PRECOMPUTED),
         setting(MODEL),
         setting(ISA),

@@ -68,6 +68,7 @@ impl Entry {
                 motion.fixes.push(GnssFix {
                     taken,
                     position: origin.to_map(reading.geodetic),
+                    has_height: reading.geodetic[2] != 0.0,
                     covariance: reading.covariance,
                     quality,
                 });

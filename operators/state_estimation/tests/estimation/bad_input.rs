@@ -281,6 +281,7 @@ fn a_clock_that_steps_is_a_gap_with_a_name() {
                 Sample::Imu(imu) => &mut imu.stamp,
                 Sample::Wheel(wheel) => &mut wheel.stamp,
                 Sample::Gnss(fix) => &mut fix.stamp,
+                Sample::Fix(fix) => &mut fix.stamp,
                 Sample::Scan(scan) => &mut scan.stamp,
             };
             *stamp += from_seconds(60.0);

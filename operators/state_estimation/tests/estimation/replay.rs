@@ -43,7 +43,7 @@ fn a_late_scan_gives_the_bits_of_one_in_time() {
     let rank = |sample: &Sample| match sample {
         Sample::Imu(_) => 0,
         Sample::Wheel(_) => 1,
-        Sample::Gnss(_) => 2,
+        Sample::Gnss(_) | Sample::Fix(_) => 2,
         Sample::Scan(_) => 3,
     };
     samples.sort_by_key(|sample| (sample.stamp(), rank(sample)));

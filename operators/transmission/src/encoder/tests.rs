@@ -1,6 +1,6 @@
 use realo_operator::PortId;
 use realo_schemas::report::to_report;
-use realo_schemas::{DType, FeatureMap, Kind, Nanos};
+use realo_schemas::{DType, FeatureMap, Kind, Nanos, Pose};
 
 use super::*;
 
@@ -9,7 +9,10 @@ const NAMES: [&str; 2] = ["cav2", "rsu1"];
 
 fn header(agent: &str, kind: Kind, seq: u64) -> Header {
     let at = 100 * seq as Nanos * MS;
-    Header::origin(&"run".into(), &agent.into(), kind, seq, at, at)
+    Header {
+        pose: Some(Pose::exact(nalgebra::Isometry3::identity())),
+        ..Header::origin(&"run".into(), &agent.into(), kind, seq, at, at)
+    }
 }
 
 /// A map of 40 by 40 cells, whose confidence falls from cell to cell and whose numbers do not compress.

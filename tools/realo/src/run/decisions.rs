@@ -12,7 +12,7 @@ use realo_results::Settings;
 use super::limit::PERFECT;
 use super::nodes::{can_project, decide, decided_argument, deciding, given, set_model, values};
 use super::prepare::{SETTINGS_FILE, stem};
-use super::{Args, Mode, named, replace};
+use super::{Args, Mode, localization, named, replace};
 use crate::roles;
 
 /// Makes the links of a graph what they are offline, where nothing is delayed or lost.
@@ -58,6 +58,8 @@ impl Decisions<'_> {
         for (decided, value) in decisions {
             decide(&mut graph, decided, &value);
         }
+        let choices = &self.args.choices;
+        localization::choose(&mut graph, choices.localization, choices.map.as_deref())?;
         if let Some(model) = &self.args.choices.model {
             set_model(&mut graph, model)?;
         }
@@ -135,6 +137,7 @@ impl Decisions<'_> {
             compute: self.args.compute.as_deref().map(named::profile).unwrap_or_default(),
             seed: values(graph, roles::SEED, str::to_string),
             project: values(&projecting, roles::PROJECT, str::to_string),
+            pose_source: localization::in_words(graph),
             set: changes.join(", "),
             programs: named::programs(graph),
             rate: self

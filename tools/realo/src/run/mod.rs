@@ -9,6 +9,7 @@ mod dora;
 mod folders;
 mod lane;
 mod limit;
+mod localization;
 mod machine;
 mod named;
 mod networks;
@@ -43,6 +44,7 @@ use folders::Folders;
 pub use dora::find as find_dora;
 pub(crate) use dora::on_this_machine as dora_on_this_machine;
 pub(crate) use limit::PERFECT;
+pub use localization::PoseSource;
 pub(crate) use machine::{Check, checks, cores, threads_of_virtual as check_threads};
 pub(crate) use networks::Networks;
 pub(crate) use nodes::{argument, decided_argument};
@@ -109,6 +111,12 @@ pub struct Choices {
     /// Channel model of the links: a name, a file, or settings: delay_ms=90,loss=0.05 (docs/reference/links.md)
     #[arg(long)]
     pub link: Option<String>,
+    /// Where agents get their poses from [default: each node's own, recorded in shipped graphs]
+    #[arg(long, value_name = "SOURCE", value_parser = one_of(PoseSource::ALL))]
+    pub localization: Option<PoseSource>,
+    /// Map for --localization map, made by `realo map build`
+    #[arg(long, value_name = "FILE")]
+    pub map: Option<PathBuf>,
     /// Agents report the detections that the log recorded
     #[arg(long)]
     pub recorded_detections: bool,

@@ -17,7 +17,7 @@ use super::decisions::Decisions;
 use super::lane::{self, SendingLane};
 use super::networks::{self, Networks};
 use super::nodes::{anchor_paths, argument, decided_argument, deciding, given, is_path, registration, takers, values};
-use super::{Args, Mode, choices, compute, described, dir_of, limit, replace, resume};
+use super::{Args, Mode, choices, compute, described, dir_of, limit, localization, replace, resume};
 use crate::fit::protocol_fits;
 use crate::{demo, registry, roles};
 
@@ -235,10 +235,14 @@ impl Planner<'_> {
             out: &out,
         };
         let (graph, mut settings) = decisions.apply(&self.graph, &self.set)?;
+        let name = format!("{}, {stem}, {}", self.name, planned.ego);
+        let localised = localization::check(&graph, log, planned);
+        if self.unplayable.check(&name, localised).is_none() {
+            return Ok(None);
+        }
         let words = self.networks.check(&graph)?;
         (settings.isa, settings.model) = (words.kernels, words.models);
         settings.graph_hash = described::hash(&self.described);
-        let name = format!("{}, {stem}, {}", self.name, planned.ego);
         let played = fitting_protocols(&graph, log, &planned.ego)
             .and_then(|()| lane::precomputed(&graph, log, planned, args.offline, self.networks));
         let Some(played) = self.unplayable.check(&name, played) else {

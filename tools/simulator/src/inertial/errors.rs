@@ -1,7 +1,8 @@
 //! How sensors err.
 
+use realo_state_estimation::{Inertial, Receiver};
+
 use super::Sky;
-use super::units::{Inertial, Receiver, WANDERING};
 use crate::random::Stream;
 
 /// Samples of an inertial unit a second.
@@ -73,24 +74,27 @@ impl Bias {
 /// The error of a position under an open sky: most of its variance wanders, the rest is white.
 pub(super) struct Wandering {
     deviation: [f64; 3],
+    /// Share of the variance that wanders.
+    share: f64,
     draws: Stream,
     walks: [Walk; 3],
     exact: bool,
 }
 
 impl Wandering {
-    pub fn new(deviation: [f64; 3], mut draws: Stream, exact: bool) -> Self {
-        let [share, correlation_s] = WANDERING;
+    pub fn new(of: &Receiver, mut draws: Stream, exact: bool) -> Self {
+        let (deviation, share) = (of.deviation_m, of.wander_share);
         Wandering {
-            walks: deviation.map(|of| Walk::new(share.sqrt() * of, correlation_s, FIX_HZ, &mut draws)),
+            walks: deviation.map(|axis| Walk::new(share.sqrt() * axis, of.wander_s, FIX_HZ, &mut draws)),
             deviation,
+            share,
             draws,
             exact,
         }
     }
 
     pub fn next(&mut self) -> [f64; 3] {
-        let white = (1.0 - WANDERING[0]).sqrt();
+        let white = (1.0 - self.share).sqrt();
         let error: [f64; 3] = std::array::from_fn(|axis| {
             let wandering = self.walks[axis].next(&mut self.draws);
             wandering + white * self.deviation[axis] * self.draws.normal()

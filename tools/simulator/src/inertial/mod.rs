@@ -6,20 +6,19 @@
 
 mod errors;
 mod track;
-mod units;
 
 use nalgebra::Isometry3;
 use realo_logs::{FixReading, ImuReading, MapOrigin, WheelReading};
 use realo_schemas::{Nanos, from_seconds};
+use realo_state_estimation::Wheels;
 
 use crate::agents::{Agent, AgentKind, since_epoch};
 use crate::cast::World;
 use crate::options::{Options, POSE_PERIOD, SWEEP_PERIOD};
 use crate::random::Stream;
 use errors::{Bias, Multipath, Wandering};
+pub use realo_state_estimation::Unit as MotionUnit;
 use track::{Track, turn};
-pub use units::MotionUnit;
-use units::{IMU_LATENCY_MS, WHEEL_LATENCY_MS, WHEEL_NOISE, WHEEL_SCALE, WHEEL_STOPS};
 
 /// Where the map of every simulation has its origin: latitude and longitude, degrees, and height over the ellipsoid, m.
 pub const MAP_ORIGIN: [f64; 3] = [48.0, 11.0, 500.0];
@@ -89,7 +88,7 @@ pub(crate) fn measure(world: &World, agent: &Agent, options: &Options, unit: Mot
     record.axle = Isometry3::translation(ahead, 0.0, 0.0);
     let track = Track::new(world, agent, first, count);
     record.imu = imu(&track, agent, options, unit, [ahead, 0.0, UNIT_HEIGHT], (first, count));
-    record.wheels = wheels(world, agent, options, (first, count));
+    record.wheels = wheels(world, agent, options, unit.wheels(), (first, count));
     let antenna = record.antenna.translation.vector.into();
     record.fixes = fixes(world, agent, options, unit, (first, count), |stamp| {
         track.place(stamp, antenna)
@@ -124,31 +123,37 @@ fn imu(
             specific_force: forces.next(force),
             variance: Some(variance),
         };
-        (stamp, arrival(stamp, IMU_LATENCY_MS, &mut latency), reading)
+        (stamp, arrival(stamp, MotionUnit::IMU_LATENCY_MS, &mut latency), reading)
     };
     (1..=count).map(sample).collect()
 }
 
-fn wheels(world: &World, agent: &Agent, options: &Options, (first, count): (Nanos, Nanos)) -> Vec<Timed<WheelReading>> {
+fn wheels(
+    world: &World,
+    agent: &Agent,
+    options: &Options,
+    of: Wheels,
+    (first, count): (Nanos, Nanos),
+) -> Vec<Timed<WheelReading>> {
     let mut draws = Stream::new(options.seed, "wheels", agent.number);
     let exact = options.exact_motion;
-    let scale = if exact { 1.0 } else { 1.0 + WHEEL_SCALE * draws.normal() };
+    let scale = if exact { 1.0 } else { 1.0 + of.scale * draws.normal() };
     let every = WHEEL_PERIOD / POSE_PERIOD;
     let sample = |k: Nanos| {
         let stamp = first + k * WHEEL_PERIOD;
         let speed = agent.speed(world.place, world.traffic, since_epoch(stamp));
-        let noise = if exact { 0.0 } else { WHEEL_NOISE * draws.normal() };
+        let noise = if exact { 0.0 } else { of.noise * draws.normal() };
         // Wheels that stand give no pulses.
-        let read = if speed.abs() < WHEEL_STOPS {
+        let read = if speed.abs() < of.stops {
             0.0
         } else {
             scale * speed + noise
         };
         let reading = WheelReading {
             velocity: [read, 0.0, 0.0],
-            variance: Some(WHEEL_NOISE * WHEEL_NOISE),
+            variance: Some(of.noise * of.noise),
         };
-        (stamp, arrival(stamp, WHEEL_LATENCY_MS, &mut draws), reading)
+        (stamp, arrival(stamp, of.latency_ms, &mut draws), reading)
     };
     (0..=count / every).map(sample).collect()
 }
@@ -164,7 +169,7 @@ fn fixes(
 ) -> Vec<Timed<FixReading>> {
     let receiver = unit.receiver();
     let draws = |name| Stream::new(options.seed, name, agent.number);
-    let mut wandering = Wandering::new(receiver.deviation_m, draws("fixes"), options.exact_motion);
+    let mut wandering = Wandering::new(&receiver, draws("fixes"), options.exact_motion);
     let mut multipath = Multipath::new(receiver, draws("multipath"), options.exact_motion);
     let mut latency = draws("fix_latency");
     let origin = MapOrigin::new(MAP_ORIGIN).expect("the origin is on the Earth");

@@ -3,12 +3,12 @@ use realo_logs::MapOrigin;
 
 use super::errors::{Bias, Multipath, Wandering};
 use super::track::Track;
-use super::units::GRAVITY;
 use super::*;
 use crate::cast::World;
 use crate::place::Scenery;
 use crate::traffic::{Demand, Traffic};
 use crate::{Scenario, Simulation};
+use realo_state_estimation::STANDARD_GRAVITY as GRAVITY;
 
 fn options(scenario: Scenario, seconds: f64) -> Options {
     Options {

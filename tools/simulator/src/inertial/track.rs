@@ -2,8 +2,8 @@
 
 use nalgebra::{UnitQuaternion, Vector3};
 use realo_schemas::{Nanos, to_seconds};
+use realo_state_estimation::STANDARD_GRAVITY;
 
-use super::units::GRAVITY;
 use crate::agents::{Agent, rotation, since_epoch};
 use crate::cast::World;
 use crate::options::POSE_PERIOD;
@@ -84,7 +84,7 @@ impl Track {
         let turned = (from.inverse() * to).scaled_axis();
         let middle = from * UnitQuaternion::from_scaled_axis(0.5 * turned);
         let acceleration = (self.velocity(time, point) - self.velocity(before, point)) / dt;
-        let force = middle.inverse() * (acceleration + Vector3::new(0.0, 0.0, GRAVITY));
+        let force = middle.inverse() * (acceleration + Vector3::new(0.0, 0.0, STANDARD_GRAVITY));
         ((turned / dt).into(), force.into())
     }
 }

@@ -36,12 +36,6 @@ pub enum Error {
         /// The name that came.
         found: String,
     },
-    /// Motion sensors that there are not.
-    #[error("simulation option `inertial`: no unit `{found}`; there are consumer, tactical and rtk")]
-    UnknownUnit {
-        /// The name that came.
-        found: String,
-    },
     /// Something of an agent that does not record.
     #[error("simulation option `{field}`: `{agent}` does not record; the agents are {agents}")]
     NotAnAgent {

@@ -1,0 +1,411 @@
+//! One agent that is localised by its sensors.
+
+use nalgebra::{Isometry3, Matrix6, UnitQuaternion, Vector3};
+use realo_geodesy::{Geodetic, LocalFrame};
+use realo_operator::{Outputs, StageOutputs};
+use realo_schemas::geometry::yaw_of;
+use realo_schemas::motion::Taken as Times;
+use realo_schemas::{AgentState, GnssFix, Header, ImuSample, Motion, Nanos, PointCloud, PoseStatus};
+use realo_state_estimation as estimation;
+use realo_state_estimation::{
+    Estimate, Estimator, HoldEstimator, HoldSettings, Mounting, Sample, ScanPose, Status, Unit, UnitNoise,
+};
+
+use crate::deskew::deskewed;
+use crate::faults::{Reported, SCAN_FEW_POINTS, SCAN_OFF_MAP, SCAN_UNFIT, SCANS, SEARCHES, Taken};
+use crate::place::{Found, Guess, Place, level};
+
+/// Samples of an IMU are this far apart until it is known, and at most so far, ns.
+const IMU_PERIOD: Nanos = 10_000_000;
+const LONGEST_IMU_PERIOD: Nanos = 50_000_000;
+/// From one search in all directions to the next, ns: it takes long.
+const SEARCH_PERIOD: Nanos = 1_000_000_000;
+/// From one look at a unit that is held to the next, ns.
+const WATCH_PERIOD: Nanos = 1_000_000_000;
+/// Standard deviations of what the map and all sweeps of a place have in common, which does not average: of each axis, m, and of the
+/// heading, rad.
+const MAP_ERRORS: [f64; 2] = [0.03, 1e-3];
+/// Standard deviation of a position that nobody knows, m, and of turns, rad.
+const ANYWHERE: [f64; 2] = [1e5, 1.8];
+
+/// What holds for all agents.
+#[derive(Clone, Copy, Debug)]
+pub(crate) struct Rules {
+    /// The motion sensors; `None`: the unit whose noise is nearest to what the agent's IMU says of itself.
+    pub unit: Option<Unit>,
+    /// Whether sweeps are looked for on a map.
+    pub has_map: bool,
+}
+
+/// What estimates.
+enum Filter {
+    Vehicle(Box<Estimator>),
+    /// A roadside unit.
+    Held(Box<HoldEstimator>),
+}
+
+/// An agent and what is known of it.
+pub(crate) struct Agent {
+    is_roadside: bool,
+    /// Once anything was measured.
+    filter: Option<Filter>,
+    /// How a roadside unit is turned in `map`, as its recorded pose has it from a survey.
+    surveyed: Option<UnitQuaternion<f64>>,
+    has_motion: bool,
+    antenna: Vector3<f64>,
+    axle: Vector3<f64>,
+    /// Stamp of the last IMU sample, and from the one before to it, ns.
+    last_imu: Option<Nanos>,
+    imu_period: Nanos,
+    /// When a sweep was looked for in all directions, or a held unit was looked at.
+    looked: Option<Nanos>,
+    /// The last pose of a roadside unit that is being localised.
+    tried: Option<Isometry3<f64>>,
+    taken: Taken,
+    reported: Reported,
+}
+
+impl Agent {
+    pub fn new(is_roadside: bool) -> Self {
+        Agent {
+            is_roadside,
+            filter: None,
+            surveyed: None,
+            has_motion: false,
+            antenna: Vector3::zeros(),
+            axle: Vector3::zeros(),
+            last_imu: None,
+            imu_period: IMU_PERIOD,
+            looked: None,
+            tried: None,
+            taken: Taken::default(),
+            reported: Reported::default(),
+        }
+    }
+
+    /// Whether anything was measured.
+    pub fn has_motion(&self) -> bool {
+        self.has_motion
+    }
+
+    /// Takes the recorded pose. Of it nothing is used but how a roadside unit is turned, which no receiver measures.
+    pub fn survey(&mut self, recorded: &AgentState) {
+        self.surveyed = self.surveyed.or(Some(recorded.map_from_body.rotation));
+    }
+
+    /// Takes what was measured.
+    ///
+    /// # Errors
+    /// Places of sensors that are none.
+    pub fn measure<O: StageOutputs>(
+        &mut self,
+        header: &Header,
+        motion: &Motion,
+        rules: &Rules,
+        out: &mut Outputs<O>,
+    ) -> Result<(), estimation::SettingsError> {
+        self.has_motion |= !motion.is_empty();
+        self.mount(motion, rules)?;
+        let mut samples = self.samples(header, motion);
+        samples.sort_by_key(Sample::stamp);
+        for sample in &samples {
+            match &mut self.filter {
+                Some(Filter::Vehicle(estimator)) => _ = estimator.take(sample),
+                Some(Filter::Held(held)) => _ = held.take(sample),
+                None => {}
+            }
+        }
+        self.taken.imu += motion.imu.len() as u64;
+        self.taken.fixes += motion.fixes.len() as u64;
+        self.taken.wheels += motion.wheels.len() as u64;
+        self.report(&header.agent, out);
+        Ok(())
+    }
+
+    /// Makes the filter with the first measurements, and takes over where sensors are.
+    fn mount(&mut self, motion: &Motion, rules: &Rules) -> Result<(), estimation::SettingsError> {
+        if !motion.fixes.is_empty() {
+            self.antenna = motion.antenna.into();
+        }
+        if !motion.wheels.is_empty() {
+            self.axle = motion.axle.into();
+        }
+        let filter = match self.filter.take() {
+            Some(filter) => filter,
+            // A receiver alone does not say how the unit is turned.
+            None if self.is_roadside && !rules.has_map && self.surveyed.is_none() => return Ok(()),
+            None if self.is_roadside => {
+                let hold = HoldSettings {
+                    surveyed: self.surveyed.filter(|_| !rules.has_map),
+                    ..HoldSettings::default()
+                };
+                Filter::Held(HoldEstimator::new(self.settings(motion, rules)?, hold)?.into())
+            }
+            None => Filter::Vehicle(Estimator::new(self.settings(motion, rules)?)?.into()),
+        };
+        self.filter = Some(match filter {
+            Filter::Vehicle(mut estimator) => {
+                estimator.remount(&self.antenna, &self.axle);
+                Filter::Vehicle(estimator)
+            }
+            Filter::Held(mut held) => {
+                held.remount(&self.antenna);
+                Filter::Held(held)
+            }
+        });
+        Ok(())
+    }
+
+    fn settings(&self, motion: &Motion, rules: &Rules) -> Result<estimation::Settings, estimation::SettingsError> {
+        // Positions come in `map` already, so that it does not matter where that is.
+        let frame =
+            LocalFrame::new(Geodetic::default()).map_err(|_| estimation::SettingsError::NotFinite { name: "frame" })?;
+        let unit = rules.unit.unwrap_or_else(|| unit_of(motion.imu_variance));
+        let mut settings = estimation::Settings::new(unit, frame);
+        settings.mounting = Mounting {
+            body_from_imu: Isometry3::translation(
+                motion.imu_position[0],
+                motion.imu_position[1],
+                motion.imu_position[2],
+            ),
+            antenna_in_body: self.antenna,
+            axle_in_body: self.axle,
+        };
+        Ok(settings)
+    }
+
+    /// What was measured, as the estimators take it.
+    fn samples(&mut self, header: &Header, motion: &Motion) -> Vec<Sample> {
+        let at = |taken: &Times| taken.stamp_in(header);
+        let mut samples: Vec<Sample> = Vec::new();
+        for sample in &motion.imu {
+            let stamp = at(&sample.taken);
+            if let Some(last) = self.last_imu
+                && (1..=LONGEST_IMU_PERIOD).contains(&stamp.saturating_sub(last))
+            {
+                self.imu_period = stamp - last;
+            }
+            self.last_imu = Some(stamp);
+            samples.push(Sample::Imu(imu(sample, stamp.saturating_sub(self.imu_period / 2))));
+        }
+        samples.extend(motion.fixes.iter().map(|fix| Sample::Fix(map_fix(fix, at(&fix.taken)))));
+        samples.extend(motion.wheels.iter().map(|wheel| {
+            Sample::Wheel(estimation::WheelSpeed {
+                stamp: at(&wheel.taken),
+                speed: wheel.speed,
+            })
+        }));
+        samples
+    }
+
+    /// The agent's state at a sweep, by its sensors and, where there is a map, by the sweep.
+    pub fn locate<O: StageOutputs>(
+        &mut self,
+        header: &Header,
+        cloud: &PointCloud,
+        place: Option<&mut Place>,
+        out: &mut Outputs<O>,
+    ) -> AgentState {
+        let has_map = place.is_some();
+        if let Some(place) = place {
+            self.look(header, cloud, place, out);
+            self.report(&header.agent, out);
+        }
+        let Some(mut estimate) = self.estimate_at(header.stamp) else {
+            return nowhere(self.status());
+        };
+        // A unit that is held has them already.
+        if has_map && matches!(self.filter, Some(Filter::Vehicle(_))) {
+            let [place, turn] = MAP_ERRORS.map(|sigma| sigma * sigma);
+            for (axis, variance) in [(0, place), (1, place), (2, place), (5, turn)] {
+                estimate.covariance[(axis, axis)] += variance;
+            }
+        }
+        state_of(&estimate)
+    }
+
+    /// The sweep without the agent's own motion during it; `None` while that is not known. A roadside unit does not move.
+    pub fn deskewed(&self, header: &Header, cloud: &PointCloud) -> Option<PointCloud> {
+        match self.is_roadside {
+            true => None,
+            false => deskewed(cloud, header.stamp, |stamp| self.estimate_at(stamp)),
+        }
+    }
+
+    fn estimate_at(&self, stamp: Nanos) -> Option<Estimate> {
+        match self.filter.as_ref()? {
+            Filter::Vehicle(estimator) => estimator.estimate_at(stamp),
+            Filter::Held(held) => held.estimate_at(stamp),
+        }
+    }
+
+    fn status(&self) -> Status {
+        match &self.filter {
+            Some(Filter::Vehicle(estimator)) => estimator.status(),
+            Some(Filter::Held(held)) => held.status(),
+            None => Status::Init,
+        }
+    }
+
+    /// Looks for the sweep on the map, and gives its pose to the filter.
+    fn look<O: StageOutputs>(&mut self, header: &Header, cloud: &PointCloud, place: &mut Place, out: &mut Outputs<O>) {
+        let (agent, stamp) = (&header.agent, header.stamp);
+        let Some(guess) = self.guess(stamp) else { return };
+        out.count(&SEARCHES, agent, u64::from(guess.yaw.is_none()));
+        let found = place.look(cloud, &guess);
+        let is = |wrong: bool| u64::from(wrong);
+        out.count_of(&SCAN_UNFIT, agent, is(matches!(found, Found::Unfit)), 1);
+        out.count_of(&SCAN_FEW_POINTS, agent, is(matches!(found, Found::FewPoints)), 1);
+        out.count_of(&SCAN_OFF_MAP, agent, is(matches!(found, Found::OffMap)), 1);
+        let Found::Pose(map_from_body, information) = found else {
+            self.tried = None;
+            return;
+        };
+        out.count(&SCANS, agent, 1);
+        self.taken.scans += 1;
+        self.tried = Some(map_from_body);
+        let scan = Sample::Scan(Box::new(ScanPose {
+            stamp,
+            map_from_body,
+            information,
+        }));
+        match &mut self.filter {
+            Some(Filter::Vehicle(estimator)) => _ = estimator.take(&scan),
+            Some(Filter::Held(held)) => _ = held.take(&scan),
+            None => {}
+        }
+    }
+
+    /// Where to look for a sweep; `None` where it is not known, or not worth it now.
+    fn guess(&mut self, stamp: Nanos) -> Option<Guess> {
+        let estimate = self.estimate_at(stamp)?;
+        let position = estimate.map_from_body.translation.vector;
+        let known = Guess {
+            position,
+            yaw: Some(yaw_of(&estimate.map_from_body.rotation)),
+            sigmas: [estimate.position_sigma(), estimate.heading_sigma()],
+            is_height_unsure: estimate.covariance[(2, 2)] > 0.25,
+        };
+        let is_due =
+            |looked: Option<Nanos>, period: Nanos| looked.is_none_or(|looked| stamp.saturating_sub(looked) >= period);
+        let is_held = matches!(self.filter, Some(Filter::Held(_)));
+        // Without a heading the estimate is a fix's position, or a mean of them.
+        let has_heading = estimate.heading_sigma() < 1.0;
+        match (is_held, has_heading, &self.tried) {
+            (true, true, _) => {
+                let is_due = is_due(self.looked, WATCH_PERIOD);
+                self.looked = if is_due { Some(stamp) } else { self.looked };
+                is_due.then_some(known)
+            }
+            (true, false, Some(tried)) => Some(Guess {
+                position: tried.translation.vector,
+                yaw: Some(yaw_of(&tried.rotation)),
+                sigmas: [0.0; 2],
+                is_height_unsure: false,
+            }),
+            (false, true, _) => Some(known),
+            (_, false, _) => {
+                let is_due = is_due(self.looked, SEARCH_PERIOD);
+                self.looked = if is_due { Some(stamp) } else { self.looked };
+                is_due.then_some(Guess {
+                    yaw: None,
+                    is_height_unsure: true,
+                    ..known
+                })
+            }
+        }
+    }
+
+    fn report<O: StageOutputs>(&mut self, agent: &str, out: &mut Outputs<O>) {
+        let faults = match &self.filter {
+            Some(Filter::Vehicle(estimator)) => estimator.faults(),
+            Some(Filter::Held(held)) => held.faults(),
+            None => return,
+        };
+        self.reported.count(agent, &faults, &self.taken, out);
+    }
+}
+
+/// A sample in the middle of the time that it is the mean of.
+fn imu(sample: &ImuSample, stamp: Nanos) -> estimation::ImuSample {
+    estimation::ImuSample {
+        stamp,
+        angular_rate: sample.angular_rate.into(),
+        specific_force: sample.specific_force.into(),
+    }
+}
+
+fn map_fix(fix: &GnssFix, stamp: Nanos) -> estimation::MapFix {
+    estimation::MapFix {
+        stamp,
+        position: fix.position.into(),
+        has_height: fix.has_height,
+        variance: fix.covariance.map(|of| [of[0], of[4], of[8]]),
+    }
+}
+
+/// The unit whose gyroscopes are as noisy as an IMU says of its own; the noisiest of one that says nothing.
+fn unit_of(imu_variance: Option<[f64; 2]>) -> Unit {
+    // Of samples at 100 Hz.
+    let density = |variance: f64| (variance * 0.01).sqrt();
+    let ratio = |noise: &UnitNoise, variance: f64| (libm::log(density(variance)) - libm::log(noise.gyro_noise)).abs();
+    match imu_variance {
+        Some([rate, _]) if rate > 0.0 => {
+            let units = [Unit::Consumer, Unit::Tactical];
+            let nearest = units
+                .into_iter()
+                .min_by(|a, b| ratio(&a.noise(), rate).total_cmp(&ratio(&b.noise(), rate)));
+            nearest.unwrap_or(Unit::Consumer)
+        }
+        _ => Unit::Consumer,
+    }
+}
+
+/// The pose of the level body frame.
+pub(crate) fn level_pose(estimate: &Estimate) -> Isometry3<f64> {
+    let pose = &estimate.map_from_body;
+    level(&pose.translation.vector, yaw_of(&pose.rotation))
+}
+
+/// An estimate as others take it: the body frame is level.
+fn state_of(estimate: &Estimate) -> AgentState {
+    AgentState {
+        map_from_body: level_pose(estimate),
+        covariance: Some(rows(&estimate.covariance)),
+        velocity: Some(estimate.velocity),
+        angular_rate: estimate.angular_rate,
+        status: status_of(estimate.status),
+    }
+}
+
+/// The state of an agent of which not even a position is known.
+fn nowhere(status: Status) -> AgentState {
+    let [place, turn] = ANYWHERE.map(|sigma| sigma * sigma);
+    let variances = Matrix6::from_diagonal(&[place, place, place, turn, turn, turn].into());
+    // What was known when it was lost is worth nothing now.
+    let status = if status == Status::Lost {
+        PoseStatus::Lost
+    } else {
+        PoseStatus::Init
+    };
+    AgentState {
+        map_from_body: Isometry3::identity(),
+        covariance: Some(rows(&variances)),
+        velocity: None,
+        angular_rate: None,
+        status,
+    }
+}
+
+fn rows(covariance: &Matrix6<f64>) -> Box<[f64; 36]> {
+    Box::new(std::array::from_fn(|at| covariance[(at / 6, at % 6)]))
+}
+
+fn status_of(status: Status) -> PoseStatus {
+    match status {
+        Status::Init => PoseStatus::Init,
+        Status::Tracking => PoseStatus::Tracking,
+        Status::DeadReckoning => PoseStatus::DeadReckoning,
+        Status::Lost => PoseStatus::Lost,
+    }
+}
