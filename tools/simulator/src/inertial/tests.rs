@@ -8,7 +8,7 @@ use crate::cast::World;
 use crate::place::Scenery;
 use crate::traffic::{Demand, Traffic};
 use crate::{Scenario, Simulation};
-use realo_state_estimation::STANDARD_GRAVITY as GRAVITY;
+use realo_state_estimation::{STANDARD_GRAVITY as GRAVITY, Unit};
 
 fn options(scenario: Scenario, seconds: f64) -> Options {
     Options {
@@ -132,9 +132,10 @@ fn deviation(values: &[f64]) -> f64 {
 
 #[test]
 fn positions_scatter_as_they_should() {
-    let mut errors = Wandering::new([1.2, 1.2, 2.5], Stream::new(1, "fixes", 0), false);
+    let receiver = Unit::Tactical.receiver();
+    let mut errors = Wandering::new(&receiver, Stream::new(1, "fixes", 0), false);
     let all: Vec<[f64; 3]> = (0..400_000).map(|_| errors.next()).collect();
-    for (axis, expected) in [1.2, 1.2, 2.5].into_iter().enumerate() {
+    for (axis, expected) in receiver.deviation_m.into_iter().enumerate() {
         let along: Vec<f64> = all.iter().map(|error| error[axis]).collect();
         let found = deviation(&along);
         // 40,000 s are 400 times of correlation.
