@@ -2,8 +2,8 @@
 
 use nalgebra::{Isometry3, Matrix3, Vector2};
 use realo_assignment::AssignmentError;
-use realo_schemas::{Box3, Boxes, Payload};
 use realo_schemas::geometry::detection_fault;
+use realo_schemas::{Box3, Boxes, Payload};
 
 use crate::clock::ahead_s;
 use crate::fit::{Fit, Noise, Scene};
@@ -98,8 +98,18 @@ const CLEAR: [f64; 2] = [0.0, 0.6];
 ///
 /// # Errors
 /// [`AssignmentError`] for more objects than an assignment takes.
-pub fn judge(boxes: &[Box3], ego: &Ego, origin: &Origin, record: &Record, limits: &Limits) -> Result<Judgement, AssignmentError> {
-    let mut seconds = if limits.moves { origin.age_s + record.clock_s() } else { 0.0 };
+pub fn judge(
+    boxes: &[Box3],
+    ego: &Ego,
+    origin: &Origin,
+    record: &Record,
+    limits: &Limits,
+) -> Result<Judgement, AssignmentError> {
+    let mut seconds = if limits.moves {
+        origin.age_s + record.clock_s()
+    } else {
+        0.0
+    };
     let all = |seconds: f64| objects(boxes, &origin.ego_from_sender, seconds, limits.max_boxes);
     let mut theirs = all(seconds);
     let (mut found, mut is_found) = place(&theirs, ego, origin, limits)?;
@@ -112,7 +122,11 @@ pub fn judge(boxes: &[Box3], ego: &Ego, origin: &Origin, record: &Record, limits
             (found, is_found) = place(&theirs, ego, origin, limits)?;
         }
     }
-    let shift = if is_found { found.fit.shift } else { Shift::none(origin.sender) };
+    let shift = if is_found {
+        found.fit.shift
+    } else {
+        Shift::none(origin.sender)
+    };
     let pairs = Scene::new(ego.objects, &theirs).pairs(&shift)?;
     let seen = sort(&theirs, ego, &shift, &pairs, origin.age_s);
     let shares = Shares::of(&theirs, &seen);
@@ -157,7 +171,10 @@ pub enum Known {
 
 /// The best place of their objects, and whether enough speaks for it.
 fn place(theirs: &[Object], ego: &Ego, origin: &Origin, limits: &Limits) -> Result<(Found, bool), AssignmentError> {
-    let (own, theirs) = (surest(ego.objects, limits.max_objects), surest(theirs, limits.max_objects));
+    let (own, theirs) = (
+        surest(ego.objects, limits.max_objects),
+        surest(theirs, limits.max_objects),
+    );
     let scene = Scene::new(&own, &theirs);
     let penalty = |shift: &Shift| {
         let free = |object: &&Object| {
@@ -168,7 +185,8 @@ fn place(theirs: &[Object], ego: &Ego, origin: &Origin, limits: &Limits) -> Resu
         AGAINST * against + AGAINST_METRE * shift.metres() + AGAINST_RADIAN * shift.turn.abs()
     };
     let found = search(&scene, origin.sender, &limits.reach, &limits.noise, penalty)?;
-    let middle = scene.theirs.iter().map(|object| object.center).sum::<Vector2<f64>>() / scene.theirs.len().max(1) as f64;
+    let middle =
+        scene.theirs.iter().map(|object| object.center).sum::<Vector2<f64>>() / scene.theirs.len().max(1) as f64;
     let moved = (found.fit.shift.place(&middle) - middle).norm();
     let size = usize::from(moved > SMALL_M);
     let better = found.fit.support - penalty(&found.fit.shift) - found.runner_up;

@@ -78,17 +78,24 @@ impl Ground {
             .collect();
         let near = |at: usize| at.saturating_sub(1)..(at + 2).min(SIDE);
         let smooth = |cell: usize| {
-            let rows = near(cell / SIDE).map(|row| near(cell % SIDE).map(|column| raw[row * SIDE + column]).sum::<f32>());
+            let rows =
+                near(cell / SIDE).map(|row| near(cell % SIDE).map(|column| raw[row * SIDE + column]).sum::<f32>());
             0.5 * raw[cell] + 0.5 * rows.sum::<f32>() / 9.0
         };
-        Ground { values: (0..SIDE * SIDE).map(smooth).collect() }
+        Ground {
+            values: (0..SIDE * SIDE).map(smooth).collect(),
+        }
     }
 
     /// The value of a place; 0 outside.
     fn at(&self, place: &Vector2<f64>) -> f64 {
         let [x, y] = [place.x, place.y].map(|along| (along / CELL_M + SIDE as f64 / 2.0).floor());
         let is_inside = x >= 0.0 && y >= 0.0 && x < SIDE as f64 && y < SIDE as f64;
-        if is_inside { f64::from(self.values[y as usize * SIDE + x as usize]) } else { 0.0 }
+        if is_inside {
+            f64::from(self.values[y as usize * SIDE + x as usize])
+        } else {
+            0.0
+        }
     }
 
     fn score(&self, places: &[Vector2<f64>], shift: &Shift) -> f64 {
@@ -109,7 +116,11 @@ impl Ground {
             for x in -steps..=steps {
                 for y in -steps..=steps {
                     let by = Vector2::new(f64::from(x), f64::from(y)) * STEP_M;
-                    let shift = Shift { pivot, by, turn: f64::from(turn) * STEP_RAD };
+                    let shift = Shift {
+                        pivot,
+                        by,
+                        turn: f64::from(turn) * STEP_RAD,
+                    };
                     first.push((self.score(&few, &shift) - against(&shift), shift));
                 }
             }
@@ -124,9 +135,17 @@ impl Ground {
         improved.sort_by(|a, b| b.0.total_cmp(&a.0));
         let best = improved[0].1;
         let elsewhere = |shift: &Shift| (shift.by - best.by).norm() > 2.0 || (shift.turn - best.turn).abs() > 0.07;
-        let runner_up = improved.iter().find(|(_, shift)| elsewhere(shift)).map_or(FREE.into(), |(score, _)| *score);
+        let runner_up = improved
+            .iter()
+            .find(|(_, shift)| elsewhere(shift))
+            .map_or(FREE.into(), |(score, _)| *score);
         let stated = self.score(&many, &Shift::none(pivot));
-        Some(Overlay { shift: best, score: self.score(&many, &best), stated, runner_up })
+        Some(Overlay {
+            shift: best,
+            score: self.score(&many, &best),
+            stated,
+            runner_up,
+        })
     }
 
     /// The best of smaller and smaller steps.
@@ -159,7 +178,11 @@ fn against(shift: &Shift) -> f64 {
 
 /// Every n-th of places, at most so many.
 fn thinned(places: &[Vector2<f64>], most: usize) -> Vec<Vector2<f64>> {
-    places.iter().step_by(places.len().div_ceil(most).max(1)).copied().collect()
+    places
+        .iter()
+        .step_by(places.len().div_ceil(most).max(1))
+        .copied()
+        .collect()
 }
 
 /// Places in the ego's frame where points of a collaborator stand on the ground, one for each cell, in the order of cells.
@@ -179,7 +202,9 @@ pub fn standing(cloud: &PointCloud, ego_from_sender: &Isometry3<f64>) -> Vec<Vec
     }
     let center = |cell: usize| (cell as f64 + 0.5 - SIDE as f64 / 2.0) * CELL_M;
     let taken = is_taken.iter().enumerate().filter(|(_, taken)| **taken);
-    taken.map(|(cell, _)| Vector2::new(center(cell % SIDE), center(cell / SIDE))).collect()
+    taken
+        .map(|(cell, _)| Vector2::new(center(cell % SIDE), center(cell / SIDE)))
+        .collect()
 }
 
 /// Places in the ego's frame of the taken cells of a collaborator's map.
@@ -189,18 +214,27 @@ pub fn taken(map: &FeatureMap, ego_from_sender: &Isometry3<f64>) -> Option<Vec<V
     let (energy, limit) = energy(map)?;
     let columns = map.size()[1];
     let place = |cell: usize| {
-        let [x, y] = [(cell % columns, 0), (cell / columns, 1)].map(|(cell, axis)| (cell as f64 + 0.5) * map.cell + map.origin[axis]);
+        let [x, y] = [(cell % columns, 0), (cell / columns, 1)]
+            .map(|(cell, axis)| (cell as f64 + 0.5) * map.cell + map.origin[axis]);
         let at = ego_from_sender * Point3::new(x, y, 0.0);
         Vector2::new(at.x, at.y)
     };
-    Some((0..energy.len()).filter(|cell| energy[*cell] >= limit).map(place).collect())
+    Some(
+        (0..energy.len())
+            .filter(|cell| energy[*cell] >= limit)
+            .map(place)
+            .collect(),
+    )
 }
 
 /// How large the features of each cell are, and from which size on a cell is taken.
 fn energy(map: &FeatureMap) -> Option<(Vec<f32>, f32)> {
     let numbers = map.numbers().ok()?;
     let channels = map.channels.max(1) as usize;
-    let energy: Vec<f32> = numbers.chunks_exact(channels).map(|cell| cell.iter().map(|value| value * value).sum()).collect();
+    let energy: Vec<f32> = numbers
+        .chunks_exact(channels)
+        .map(|cell| cell.iter().map(|value| value * value).sum())
+        .collect();
     if energy.iter().any(|value| !value.is_finite()) {
         return None;
     }

@@ -99,6 +99,9 @@ mod tests {
             objects(&[object], &Isometry3::identity(), 0.0, 9)
         };
         let (own, theirs) = (moving(10.0), moving(4.0));
-        assert_eq!(ahead_s(&Scene::new(&own, &theirs), &Shift::none(Vector2::zeros()), 2.5), None);
+        assert_eq!(
+            ahead_s(&Scene::new(&own, &theirs), &Shift::none(Vector2::zeros()), 2.5),
+            None
+        );
     }
 }

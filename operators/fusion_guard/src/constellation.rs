@@ -62,7 +62,10 @@ pub fn lay_over(ego: &[Object], theirs: &[Object], noise: &Noise) -> Result<Opti
         return Ok(None);
     };
     let elsewhere = |shift: &Shift| (shift.by - best.by).norm() > 1.0 || (shift.turn - best.turn).abs() > 0.1;
-    let other = refined.iter().find(|(_, shift)| elsewhere(shift)).map_or(0.0, |(support, _)| *support);
+    let other = refined
+        .iter()
+        .find(|(_, shift)| elsewhere(shift))
+        .map_or(0.0, |(support, _)| *support);
     let fit = fit(&scene, &best, &anywhere)?;
     Ok((fit.pairs.len() >= PAIRS && support > CLEAR * other).then_some(fit))
 }
@@ -98,7 +101,9 @@ fn motions(scene: &Scene) -> Vec<Shift> {
     let mut motions = Vec::new();
     for edge in &own {
         let first = theirs.partition_point(|other| other.length < edge.length - SAME_M);
-        let alike = theirs[first..].iter().take_while(|other| other.length <= edge.length + SAME_M);
+        let alike = theirs[first..]
+            .iter()
+            .take_while(|other| other.length <= edge.length + SAME_M);
         for other in alike {
             motions.extend(motion(scene, edge, other));
             if motions.len() >= MOTIONS {
@@ -129,9 +134,8 @@ fn motion(scene: &Scene, own: &Edge, other: &Edge) -> Option<Shift> {
 /// What speaks for a motion, without pairs: their objects that lie near an alike one of the ego's.
 fn quick_support(scene: &Scene, shift: &Shift) -> f64 {
     let of = |(other, at): (usize, Vector2<f64>)| {
-        let near = (0..scene.ego.len()).filter(|own| {
-            (scene.ego[*own].center - at).norm_squared() < 1.0 && scene.is_alike(*own, other)
-        });
+        let near = (0..scene.ego.len())
+            .filter(|own| (scene.ego[*own].center - at).norm_squared() < 1.0 && scene.is_alike(*own, other));
         near.map(|own| scene.weight(own, other)).fold(0.0, f64::max)
     };
     scene.placed(shift).into_iter().enumerate().map(of).sum()
@@ -176,7 +180,10 @@ mod tests {
                 Translation3::new(18.0, -25.0, 0.0),
                 UnitQuaternion::from_euler_angles(0.0, 0.0, yaw),
             );
-            let theirs: Vec<Box3> = town().iter().map(|object| transform_box(&ego_from_sender.inverse(), object)).collect();
+            let theirs: Vec<Box3> = town()
+                .iter()
+                .map(|object| transform_box(&ego_from_sender.inverse(), object))
+                .collect();
             let [own, theirs] = [town(), theirs].map(|boxes| objects(&boxes, &Isometry3::identity(), 0.0, 64));
             let fit = lay_over(&own, &theirs, &NOISE).unwrap().expect("they see the same");
             let point = Point3::new(9.0, -3.0, 0.0);
@@ -187,9 +194,15 @@ mod tests {
 
     #[test]
     fn agents_that_see_other_things_are_not_laid_over() {
-        let other: Vec<Box3> = [(3.0, 3.0, 0.0), (14.0, 31.0, 0.5), (40.0, -12.0, 1.0), (-17.0, 2.0, 2.0), (-5.0, -33.0, 0.3)]
-            .map(|(x, y, yaw)| car(x, y, yaw))
-            .into();
+        let other: Vec<Box3> = [
+            (3.0, 3.0, 0.0),
+            (14.0, 31.0, 0.5),
+            (40.0, -12.0, 1.0),
+            (-17.0, 2.0, 2.0),
+            (-5.0, -33.0, 0.3),
+        ]
+        .map(|(x, y, yaw)| car(x, y, yaw))
+        .into();
         let [own, theirs] = [town(), other].map(|boxes| objects(&boxes, &Isometry3::identity(), 0.0, 64));
         assert_eq!(lay_over(&own, &theirs, &NOISE).unwrap(), None);
         assert_eq!(lay_over(&own, &[], &NOISE).unwrap(), None);

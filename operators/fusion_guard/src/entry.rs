@@ -70,9 +70,9 @@ impl Entry {
                 let (objects, view) = (&ego.known, ego.view.as_ref());
                 Some(judge(boxes, &Ego { objects, view }, origin, &record, limits)?)
             }
-            (Some(origin), Payload::PointCloud(cloud)) => {
-                ego.sweep().map(|sweep| judge_points(cloud, &sweep, origin, &record, limits))
-            }
+            (Some(origin), Payload::PointCloud(cloud)) => ego
+                .sweep()
+                .map(|sweep| judge_points(cloud, &sweep, origin, &record, limits)),
             _ => None,
         };
         Ok(Guarded { entry: self, judgement })
@@ -86,7 +86,10 @@ fn origin(map_from_ego: &Isometry3<f64>, stamp: Nanos, header: &Header) -> Optio
         Some(position) => map_from_ego.inverse_transform_point(&position.into()).coords,
         None => ego_from_sender.translation.vector,
     };
-    let stated = pose.covariance.as_ref().map(|covariance| (0.5 * (covariance[0] + covariance[7])).sqrt());
+    let stated = pose
+        .covariance
+        .as_ref()
+        .map(|covariance| (0.5 * (covariance[0] + covariance[7])).sqrt());
     Some(Origin {
         ego_from_sender,
         sender: Vector2::new(sender.x, sender.y),
@@ -136,18 +139,24 @@ impl Guarded {
 
     /// Whether its pose is corrected.
     pub fn is_moved(&self) -> bool {
-        self.judgement.as_ref().is_some_and(|judgement| judgement.rise != 0.0 || judgement.shift != Shift::none(judgement.shift.pivot))
+        self.judgement
+            .as_ref()
+            .is_some_and(|judgement| judgement.rise != 0.0 || judgement.shift != Shift::none(judgement.shift.pivot))
     }
 
     /// Whether the ego's objects say where its agent is, and nothing speaks against it.
     pub fn is_confirmed(&self) -> bool {
-        self.judgement.as_ref().is_some_and(|judgement| judgement.reason.is_none() && judgement.covariance.is_some())
+        self.judgement
+            .as_ref()
+            .is_some_and(|judgement| judgement.reason.is_none() && judgement.covariance.is_some())
     }
 
     /// Whether more objects may say where its agent is.
     pub fn is_open(&self) -> bool {
         let has_lied = |judgement: &Judgement| judgement.reason == Some(Reason::Distrusted);
-        self.judgement.as_ref().is_some_and(|judgement| judgement.covariance.is_none() && !has_lied(judgement))
+        self.judgement
+            .as_ref()
+            .is_some_and(|judgement| judgement.covariance.is_none() && !has_lied(judgement))
     }
 
     /// Its boxes in the ego's frame.
@@ -177,7 +186,9 @@ impl Guarded {
 
     /// The message with what was corrected.
     pub fn into_message(self, ego: &Header) -> Message {
-        let Entry { mut message, origin, .. } = self.entry;
+        let Entry {
+            mut message, origin, ..
+        } = self.entry;
         let Some(judgement) = self.judgement else {
             return message;
         };
@@ -189,7 +200,9 @@ impl Guarded {
             if judgement.shift != Shift::none(judgement.shift.pivot) || judgement.rise != 0.0 {
                 let rise = Translation3::new(0.0, 0.0, judgement.rise);
                 pose.map_from_frame = map_from_ego * rise * judgement.shift.isometry() * origin.ego_from_sender;
-                let found = judgement.covariance.map(|covariance| in_map(&covariance, yaw_of(&map_from_ego.rotation)));
+                let found = judgement
+                    .covariance
+                    .map(|covariance| in_map(&covariance, yaw_of(&map_from_ego.rotation)));
                 pose.covariance = found.or(pose.covariance.take());
             }
         }

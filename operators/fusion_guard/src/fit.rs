@@ -41,7 +41,9 @@ pub struct Scene<'a> {
 impl<'a> Scene<'a> {
     /// A scene of both sides' objects.
     pub fn new(ego: &'a [Object], theirs: &'a [Object]) -> Self {
-        let alike = ego.iter().flat_map(|own| theirs.iter().map(move |other| own.is_like(other)));
+        let alike = ego
+            .iter()
+            .flat_map(|own| theirs.iter().map(move |other| own.is_like(other)));
         let alike = alike.collect();
         Scene { ego, theirs, alike }
     }
@@ -156,7 +158,10 @@ impl Normal {
             let at = shift.place(&theirs.center);
             let arm = at - shift.pivot - shift.by;
             let away = ego.center - at;
-            let weight = normal.weigh(away.norm_squared() / (noise.place_m * noise.place_m), scene.weight(*own, *other));
+            let weight = normal.weigh(
+                away.norm_squared() / (noise.place_m * noise.place_m),
+                scene.weight(*own, *other),
+            );
             let weight = weight / (noise.place_m * noise.place_m);
             normal.add(&Vector3::new(1.0, 0.0, -arm.y), away.x, weight);
             normal.add(&Vector3::new(0.0, 1.0, arm.x), away.y, weight);
@@ -164,7 +169,11 @@ impl Normal {
                 let turn = half_turn(ego.yaw - theirs.yaw - shift.turn);
                 let square = turn * turn / (noise.heading_rad * noise.heading_rad);
                 let weight = normal.weigh(square, scene.weight(*own, *other));
-                normal.add(&Vector3::new(0.0, 0.0, 1.0), turn, weight / (noise.heading_rad * noise.heading_rad));
+                normal.add(
+                    &Vector3::new(0.0, 0.0, 1.0),
+                    turn,
+                    weight / (noise.heading_rad * noise.heading_rad),
+                );
             }
         }
         normal
@@ -244,13 +253,22 @@ pub fn fit(scene: &Scene, refined: &Shift, noise: &Noise) -> Result<Fit, Assignm
     }
     let shift = best.1;
     let pairs = scene.pairs(&shift)?;
-    let squares: f64 = pairs.iter().map(|(own, other)| {
-        let away = scene.ego[*own].center - shift.place(&scene.theirs[*other].center);
-        0.5 * away.norm_squared()
-    }).sum();
+    let squares: f64 = pairs
+        .iter()
+        .map(|(own, other)| {
+            let away = scene.ego[*own].center - shift.place(&scene.theirs[*other].center);
+            0.5 * away.norm_squared()
+        })
+        .sum();
     let residual = squares / pairs.len().max(1) as f64;
     let information = Normal::of(scene, &shift, &pairs, noise).information;
     let spread = (residual / (noise.place_m * noise.place_m)).max(1.0);
     let covariance = information.try_inverse().unwrap_or_else(Matrix3::identity) * spread;
-    Ok(Fit { shift, support: scene.support(&shift, &pairs), pairs, covariance, residual })
+    Ok(Fit {
+        shift,
+        support: scene.support(&shift, &pairs),
+        pairs,
+        covariance,
+        residual,
+    })
 }

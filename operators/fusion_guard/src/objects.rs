@@ -97,7 +97,11 @@ pub(crate) mod tests {
             nalgebra::UnitQuaternion::from_euler_angles(0.0, 0.0, std::f64::consts::FRAC_PI_2),
         );
         let found = objects(&[moving], &turned, 0.2, 8);
-        assert!((found[0].center - Vector2::new(-1.0, 11.0)).norm() < 1e-9, "{:?}", found[0].center);
+        assert!(
+            (found[0].center - Vector2::new(-1.0, 11.0)).norm() < 1e-9,
+            "{:?}",
+            found[0].center
+        );
         assert!((found[0].yaw - std::f64::consts::FRAC_PI_2 - 0.1).abs() < 1e-9);
     }
 

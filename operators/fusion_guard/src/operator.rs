@@ -14,6 +14,9 @@ use crate::search::Reach;
 use crate::sight::Sight;
 use crate::verdict::Reason;
 
+/// Objects of the ego and of others by which an agent is placed.
+const KNOWN: usize = 512;
+
 /// Settings of [`FusionGuard`].
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 pub struct Settings {
@@ -106,7 +109,9 @@ pub enum Output {
 #[derive(Debug, thiserror::Error)]
 pub enum GuardError {
     /// The selection came alone.
-    #[error("a selection without the ego's message of the same set ({0}); wire the message that the bank was asked with to `ego`")]
+    #[error(
+        "a selection without the ego's message of the same set ({0}); wire the message that the bank was asked with to `ego`"
+    )]
     Alone(Box<Header>),
 }
 
@@ -143,7 +148,10 @@ impl Operator for FusionGuard {
             Input::Ego(message) => self.ego = Some(message),
             Input::Clouds(header, cloud) => self.sweep = Some((header, cloud)),
             Input::Selections(header, selection) => {
-                let ego = self.ego.take().ok_or_else(|| GuardError::Alone(Box::new(header.clone())))?;
+                let ego = self
+                    .ego
+                    .take()
+                    .ok_or_else(|| GuardError::Alone(Box::new(header.clone())))?;
                 let sweep = self.sweep.take().map(|(_, cloud)| cloud);
                 let entries = match self.settings.enabled {
                     true => self.check(&ego, sweep, selection.entries, out)?,
@@ -170,13 +178,20 @@ impl FusionGuard {
         let mut guarded: Vec<Guarded> = Vec::new();
         for entry in entries {
             let record = self.record(&entry.header.agent, ego.header.stamp, out);
-            let entry = Entry::of(&ego.header, entry, &sight.known, &self.limits, self.settings.constellations)?;
+            let entry = Entry::of(
+                &ego.header,
+                entry,
+                &sight.known,
+                &self.limits,
+                self.settings.constellations,
+            )?;
             guarded.push(entry.judge(&sight, record, &self.limits)?);
         }
         // Whom the ego cannot place by its own objects may be placed by those of others that it has confirmed.
         let own = sight.known.len();
         for one in guarded.iter().filter(|one| one.is_confirmed()) {
             sight.known.extend(one.objects().cloned());
+            sight.known.truncate(KNOWN.max(own));
         }
         let mut kept = Vec::new();
         for mut one in guarded {

@@ -33,7 +33,13 @@ const LOW_M: f64 = 0.3;
 const LEVEL_M: f64 = 0.15;
 
 /// Judges a sweep by the ego's own.
-pub(crate) fn judge_points(cloud: &PointCloud, own: &Sweep, origin: &Origin, record: &Record, limits: &Limits) -> Judgement {
+pub(crate) fn judge_points(
+    cloud: &PointCloud,
+    own: &Sweep,
+    origin: &Origin,
+    record: &Record,
+    limits: &Limits,
+) -> Judgement {
     let view = own.view;
     let places = standing(cloud, &origin.ego_from_sender);
     let none = Shift::none(origin.sender);
@@ -45,7 +51,11 @@ pub(crate) fn judge_points(cloud: &PointCloud, own: &Sweep, origin: &Origin, rec
     let checked = something + free;
     let share = something as f64 / checked.max(1) as f64;
     let is_found = checked >= CHECKED && share >= CONFIRMED;
-    let contradicted = if checked >= CHECKED { (CONFIRMED - share).max(0.0) * SAYS / CONFIRMED } else { 0.0 };
+    let contradicted = if checked >= CHECKED {
+        (CONFIRMED - share).max(0.0) * SAYS / CONFIRMED
+    } else {
+        0.0
+    };
     let shares = Shares {
         paired: if checked >= CHECKED { share * SAYS } else { 0.0 },
         something: 0.0,
@@ -86,11 +96,18 @@ fn is_better(overlay: &Overlay) -> bool {
 /// both.
 fn rise(theirs: &PointCloud, own: &PointCloud, ego_from_sender: &Isometry3<f64>) -> f64 {
     let (own, theirs) = (heights(own, &Isometry3::identity()), heights(theirs, ego_from_sender));
-    let both = own.iter().zip(&theirs).filter_map(|(own, theirs)| Some((*own)? - (*theirs)?));
+    let both = own
+        .iter()
+        .zip(&theirs)
+        .filter_map(|(own, theirs)| Some((*own)? - (*theirs)?));
     let mut differences: Vec<f64> = both.collect();
     differences.sort_by(f64::total_cmp);
     let middle = differences.get(differences.len() / 2).copied().unwrap_or(0.0);
-    if differences.len() >= COMMON && middle.abs() > LEVEL_M { middle } else { 0.0 }
+    if differences.len() >= COMMON && middle.abs() > LEVEL_M {
+        middle
+    } else {
+        0.0
+    }
 }
 
 /// Mean heights of the ground in patches around the ego, in its frame.
@@ -109,11 +126,18 @@ fn heights(cloud: &PointCloud, ego_from_body: &Isometry3<f64>) -> Vec<Option<f64
             *count += 1;
         }
     }
-    sums.into_iter().map(|(sum, count)| (count >= 5).then(|| sum / f64::from(count))).collect()
+    sums.into_iter()
+        .map(|(sum, count)| (count >= 5).then(|| sum / f64::from(count)))
+        .collect()
 }
 
 /// The cloud without points that stand where the ego sees that nothing does, and how many those are.
-fn without_ghosts(cloud: &PointCloud, view: &View, ego_from_sender: &Isometry3<f64>, shift: &Shift) -> (PointCloud, u64) {
+fn without_ghosts(
+    cloud: &PointCloud,
+    view: &View,
+    ego_from_sender: &Isometry3<f64>,
+    shift: &Shift,
+) -> (PointCloud, u64) {
     let place = shift.mover();
     let stays = |index: &usize| {
         let point = Point3::new(cloud.x[*index], cloud.y[*index], cloud.z[*index]).cast::<f64>();
@@ -130,7 +154,11 @@ fn without_ghosts(cloud: &PointCloud, view: &View, ego_from_sender: &Isometry3<f
         x: of(&cloud.x),
         y: of(&cloud.y),
         z: of(&cloud.z),
-        intensity: kept.iter().map(|index| cloud.intensity[*index]).collect::<Vec<u8>>().into(),
+        intensity: kept
+            .iter()
+            .map(|index| cloud.intensity[*index])
+            .collect::<Vec<u8>>()
+            .into(),
         time: kept.iter().map(|index| cloud.time[*index]).collect::<Vec<i32>>().into(),
         ring: kept.iter().map(|index| cloud.ring[*index]).collect::<Vec<u16>>().into(),
     };

@@ -59,8 +59,14 @@ pub fn search(
     let best = refined.first().map_or(Shift::none(pivot), |(_, shift)| *shift);
     let middle = middle(scene).unwrap_or(pivot);
     let elsewhere = |shift: &Shift| (shift.place(&middle) - best.place(&middle)).norm() > SAME_M;
-    let runner_up = refined.iter().find(|(_, shift)| elsewhere(shift)).map_or(0.0, |(support, _)| *support);
-    Ok(Found { fit: fit(scene, &best, noise)?, runner_up: runner_up.max(0.0) })
+    let runner_up = refined
+        .iter()
+        .find(|(_, shift)| elsewhere(shift))
+        .map_or(0.0, |(support, _)| *support);
+    Ok(Found {
+        fit: fit(scene, &best, noise)?,
+        runner_up: runner_up.max(0.0),
+    })
 }
 
 /// The mean of their objects.
@@ -81,7 +87,11 @@ fn candidates(scene: &Scene, pivot: Vector2<f64>, reach: &Reach) -> Vec<Shift> {
         peaks(&votes, side, |votes, cell| found.push((votes, step, cell)));
     }
     // More votes first; at equal ones the smaller turn.
-    found.sort_by(|a, b| b.0.total_cmp(&a.0).then(a.1.abs().cmp(&b.1.abs())).then((a.1, a.2).cmp(&(b.1, b.2))));
+    found.sort_by(|a, b| {
+        b.0.total_cmp(&a.0)
+            .then(a.1.abs().cmp(&b.1.abs()))
+            .then((a.1, a.2).cmp(&(b.1, b.2)))
+    });
     let middle = (side / 2) as f64;
     let shift = |(_, step, cell): (f64, i32, usize)| Shift {
         pivot,
@@ -112,7 +122,8 @@ fn peaks(votes: &[f64], side: usize, mut found: impl FnMut(f64, usize)) {
     let sums: Vec<f64> = (0..side * side)
         .map(|cell| {
             let rows = near(cell / side);
-            rows.map(|row| near(cell % side).map(|column| votes[row * side + column]).sum::<f64>()).sum()
+            rows.map(|row| near(cell % side).map(|column| votes[row * side + column]).sum::<f64>())
+                .sum()
         })
         .collect();
     for (cell, sum) in sums.iter().enumerate() {

@@ -103,11 +103,32 @@ mod tests {
     fn messages_are_left_out_for_what_contradicts_or_cannot_be_confirmed() {
         let cases = [
             ("all confirmed", shares(8.0, 1.0, 0.5), true, 1.0, 3.0, None),
-            ("ghosts", shares(6.0, 1.0, 9.0), true, 1.0, 0.1, Some(Reason::Contradicted)),
+            (
+                "ghosts",
+                shares(6.0, 1.0, 9.0),
+                true,
+                1.0,
+                0.1,
+                Some(Reason::Contradicted),
+            ),
             ("one mistake", shares(0.0, 0.0, 0.9), false, 1.0, 0.1, None),
-            ("a liar", shares(5.0, 0.0, 1.0), true, 0.4, 0.1, Some(Reason::Distrusted)),
+            (
+                "a liar",
+                shares(5.0, 0.0, 1.0),
+                true,
+                0.4,
+                0.1,
+                Some(Reason::Distrusted),
+            ),
             ("out of sight, good poses", shares(0.0, 0.0, 0.0), false, 1.0, 0.4, None),
-            ("out of sight, bad poses", shares(0.0, 0.0, 0.0), false, 1.0, 2.0, Some(Reason::Unconfirmed)),
+            (
+                "out of sight, bad poses",
+                shares(0.0, 0.0, 0.0),
+                false,
+                1.0,
+                2.0,
+                Some(Reason::Unconfirmed),
+            ),
         ];
         for (name, shares, is_found, trust, pose_m, expected) in cases {
             assert_eq!(shares.reason(is_found, trust, pose_m), expected, "{name}");

@@ -109,7 +109,10 @@ impl View {
         for look in 0..along * across {
             // The outer tenth on each side is left out: boxes err by as much.
             let share = |place: usize, all: usize| 0.8 * ((place as f64 + 0.5) / all as f64 - 0.5);
-            let (x, y) = (size[0] * share(look % along, along), size[1] * share(look / along, across));
+            let (x, y) = (
+                size[0] * share(look % along, along),
+                size[1] * share(look / along, across),
+            );
             match self.at(&(center + Vector2::new(x * cos - y * sin, x * sin + y * cos))) {
                 Seen::Free => free += 1,
                 Seen::Something => something += 1,
@@ -173,7 +176,11 @@ fn sensor_height(cloud: &PointCloud) -> Option<f64> {
         // Points at one distance say nothing of the tip.
         (*n >= 50.0 && spread > 4.0 * n * n).then(|| (z * rr - r * rz) / spread)
     };
-    let mut tips: Vec<f64> = beams.iter().filter_map(tip).filter(|tip| (0.2..20.0).contains(tip)).collect();
+    let mut tips: Vec<f64> = beams
+        .iter()
+        .filter_map(tip)
+        .filter(|tip| (0.2..20.0).contains(tip))
+        .collect();
     tips.sort_by(f64::total_cmp);
     // One cone that all points are said to lie on is none.
     (tips.len() >= 4).then(|| tips[tips.len() / 2])
@@ -191,7 +198,11 @@ pub(crate) mod tests {
             for column in 0..1800 {
                 let azimuth = f64::from(column) * 0.2f64.to_radians();
                 let direction = [down.cos() * azimuth.cos(), down.cos() * azimuth.sin(), down.sin()];
-                let ground = if direction[2] < 0.0 { -height / direction[2] } else { f64::INFINITY };
+                let ground = if direction[2] < 0.0 {
+                    -height / direction[2]
+                } else {
+                    f64::INFINITY
+                };
                 let hits = blocks.iter().filter_map(|block| enter(height, &direction, block));
                 let range = hits.fold(ground, f64::min);
                 if range < 100.0 {
@@ -248,7 +259,10 @@ pub(crate) mod tests {
             assert_eq!(car_at(&view, 0.0, -16.0), Seen::Nothing, "{height} {with_rings}");
             for (x, y) in [(15.0, -3.0), (8.0, 0.0), (-12.0, 5.0), (3.0, 12.0)] {
                 let seen = car_at(&view, x, y);
-                assert!(seen == Seen::Free || !with_rings && seen == Seen::Nothing, "{x} {y} {height} {seen:?}");
+                assert!(
+                    seen == Seen::Free || !with_rings && seen == Seen::Nothing,
+                    "{x} {y} {height} {seen:?}"
+                );
             }
             assert_eq!(car_at(&view, 200.0, 0.0), Seen::Nothing);
         }

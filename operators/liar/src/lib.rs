@@ -68,7 +68,11 @@ pub enum Output {
 
 impl Operator for Liar {
     fn build(settings: Settings) -> Result<Self, Error> {
-        let agents = settings.agents.split(',').map(str::trim).filter(|name| !name.is_empty());
+        let agents = settings
+            .agents
+            .split(',')
+            .map(str::trim)
+            .filter(|name| !name.is_empty());
         Ok(Liar {
             agents: agents.map(str::to_string).collect(),
             key: StreamKey::new(settings.seed, "liar"),
@@ -145,9 +149,27 @@ impl Liar {
         let longer = x.len() - cloud.len();
         let and = |more: usize| std::iter::repeat_n(0, more);
         PointCloud {
-            intensity: cloud.intensity.iter().copied().chain(and(longer).map(|_| 40)).collect::<Vec<u8>>().into(),
-            time: cloud.time.iter().copied().chain(and(longer).map(|_| 0)).collect::<Vec<i32>>().into(),
-            ring: cloud.ring.iter().copied().chain(and(longer).map(|_| 0)).collect::<Vec<u16>>().into(),
+            intensity: cloud
+                .intensity
+                .iter()
+                .copied()
+                .chain(and(longer).map(|_| 40))
+                .collect::<Vec<u8>>()
+                .into(),
+            time: cloud
+                .time
+                .iter()
+                .copied()
+                .chain(and(longer).map(|_| 0))
+                .collect::<Vec<i32>>()
+                .into(),
+            ring: cloud
+                .ring
+                .iter()
+                .copied()
+                .chain(and(longer).map(|_| 0))
+                .collect::<Vec<u16>>()
+                .into(),
             x: x.into(),
             y: y.into(),
             z: z.into(),
@@ -173,7 +195,8 @@ mod tests {
         let mut liar = Liar::new(settings).unwrap();
         let mut out = Outputs::at(0);
         let header = Header::origin(&"run".into(), &agent.into(), Kind::Boxes, 3, 100, 100);
-        liar.on_message(Input::MESSAGES, Message::new(header, payload), &mut out).unwrap();
+        liar.on_message(Input::MESSAGES, Message::new(header, payload), &mut out)
+            .unwrap();
         out.take_sent().remove(0).1
     }
 
@@ -199,7 +222,11 @@ mod tests {
         };
         assert_eq!(boxes(settings.clone(), "cav3"), [car(5.0), car(20.0)]);
         assert_eq!(boxes(settings.clone(), "rsu1").len(), 7);
-        assert_eq!(boxes(settings.clone(), "rsu1"), boxes(settings, "rsu1"), "lies are drawn by name");
+        assert_eq!(
+            boxes(settings.clone(), "rsu1"),
+            boxes(settings, "rsu1"),
+            "lies are drawn by name"
+        );
     }
 
     #[test]
@@ -248,6 +275,9 @@ mod tests {
             ..Settings::default()
         };
         let (_, lied) = said(settings, "cav2", cloud).into_parts::<PointCloud>().unwrap();
-        assert_eq!((lied.len(), lied.x[0], lied.ring.len()), (1 + 2 * 240, 2.0, 1 + 2 * 240));
+        assert_eq!(
+            (lied.len(), lied.x[0], lied.ring.len()),
+            (1 + 2 * 240, 2.0, 1 + 2 * 240)
+        );
     }
 }

@@ -43,7 +43,10 @@ const WORDS: &[(&str, &str)] = &[
     ("stale", "too old when the ego asked"),
     ("superseded", "a newer message of its sender took its place"),
     ("over limit", "of more collaborators than the fusion takes"),
-    ("distrusted", "left out by a guard, because the ego could not confirm it"),
+    (
+        "distrusted",
+        "left out by a guard, because the ego could not confirm it",
+    ),
     ("in flight", "arrived after the ego's last sweep"),
     ("rejected", "invalid, or of no use to the fusion"),
     ("coop", "who may collaborate with the ego"),

@@ -40,7 +40,10 @@ fn town() -> Vec<Box3> {
 }
 
 fn seen_from(map_from_body: Isometry3<f64>, boxes: &[Box3]) -> Vec<Box3> {
-    boxes.iter().map(|object| transform_box(&map_from_body.inverse(), object)).collect()
+    boxes
+        .iter()
+        .map(|object| transform_box(&map_from_body.inverse(), object))
+        .collect()
 }
 
 fn header(agent: &str, seq: u64, stamp: Nanos, map_from_body: Option<Isometry3<f64>>) -> Header {
@@ -55,7 +58,12 @@ fn entry(agent: &str, stated: Option<Isometry3<f64>>, boxes: Vec<Box3>) -> Messa
 }
 
 /// Feeds a set; the messages that are given on.
-fn guard(operator: &mut FusionGuard, own: Vec<Box3>, sweep: Option<PointCloud>, entries: Vec<Message>) -> (Vec<Message>, Outputs<Output>) {
+fn guard(
+    operator: &mut FusionGuard,
+    own: Vec<Box3>,
+    sweep: Option<PointCloud>,
+    entries: Vec<Message>,
+) -> (Vec<Message>, Outputs<Output>) {
     let mut out = Outputs::at(200 * MS);
     let ego = header("cav1", 7, 100 * MS, Some(at(EGO)));
     let mut feed = |port: PortId, message: Message| operator.on_message(port, message, &mut out).unwrap();
@@ -85,7 +93,12 @@ fn wrong_poses_are_corrected_by_what_both_see() {
     for (dx, dy, turn) in [(1.0, 0.5, 0.0), (-3.0, 2.0, 0.03), (5.0, -7.0, -0.1), (9.0, 3.0, 0.12)] {
         let stated = at((SENDER.0 + dx, SENDER.1 + dy, SENDER.2 + turn));
         let theirs = seen_from(at(SENDER), &town());
-        let (kept, out) = guard(&mut new(), seen_from(at(EGO), &town()), None, vec![entry("rsu1", Some(stated), theirs.clone())]);
+        let (kept, out) = guard(
+            &mut new(),
+            seen_from(at(EGO), &town()),
+            None,
+            vec![entry("rsu1", Some(stated), theirs.clone())],
+        );
         assert_eq!(out.counted("corrected_messages"), 1);
         let found = kept[0].header.pose.as_ref().unwrap().map_from_frame;
         for object in &theirs {
@@ -93,7 +106,14 @@ fn wrong_poses_are_corrected_by_what_both_see() {
             let off = libm::hypot(found.center[0] - there.center[0], found.center[1] - there.center[1]);
             assert!(off < 0.1, "{off} m for {dx} {dy} {turn}");
         }
-        let covariance = kept[0].header.pose.as_ref().unwrap().covariance.as_ref().expect("a covariance");
+        let covariance = kept[0]
+            .header
+            .pose
+            .as_ref()
+            .unwrap()
+            .covariance
+            .as_ref()
+            .expect("a covariance");
         assert!(covariance[0] > 0.0 && covariance[7] > 0.0 && covariance[35] > 0.0 && covariance[0] < 0.1);
     }
 }
@@ -117,7 +137,10 @@ fn an_agent_without_a_pose_is_placed_and_may_not_be() {
     let (kept, out) = guard(&mut new(), own(), None, vec![theirs()]);
     let plane = kept[0].header.pose.as_ref().expect("it is placed").map_from_frame;
     let off = relative(&at(SENDER), &plane);
-    assert!(off.translation.vector.norm() < 0.1 && off.rotation.angle() < 0.01, "{off}");
+    assert!(
+        off.translation.vector.norm() < 0.1 && off.rotation.angle() < 0.01,
+        "{off}"
+    );
     assert_eq!(out.counted("placed_messages"), 1);
     let mut without = FusionGuard::new(Settings {
         constellations: false,
@@ -142,15 +165,27 @@ fn ghosts(count: usize) -> Vec<Box3> {
 fn ghosts_where_nothing_stands_condemn_their_sender_and_nobody_else() {
     // The ego sees free ground all around, so that whatever is said of it is not so.
     let liar = entry("cav2", Some(at(EGO)), ghosts(20));
-    let honest = entry("rsu1", Some(at(SENDER)), seen_from(at(SENDER), &[car(1e5 + 400.0, -1e5, 0.0)]));
+    let honest = entry(
+        "rsu1",
+        Some(at(SENDER)),
+        seen_from(at(SENDER), &[car(1e5 + 400.0, -1e5, 0.0)]),
+    );
     let mut operator = new();
     let (kept, mut out) = guard(&mut operator, vec![], Some(empty_ground()), vec![liar, honest.clone()]);
     assert_eq!(kept.iter().map(|one| &*one.header.agent).collect::<Vec<_>>(), ["rsu1"]);
     assert_eq!(out.counted("contradicted_messages"), 1);
-    let fates: Vec<_> = out.take_fates().into_iter().map(|fated| (fated.message.from, fated.fate)).collect();
+    let fates: Vec<_> = out
+        .take_fates()
+        .into_iter()
+        .map(|fated| (fated.message.from, fated.fate))
+        .collect();
     assert_eq!(fates, [("cav2".to_string(), Fate::Distrusted)]);
     // What it says now could be so, but it is not believed any more.
-    let again = entry("cav2", Some(at(SENDER)), seen_from(at(SENDER), &[car(1e5 + 400.0, -1e5, 0.0)]));
+    let again = entry(
+        "cav2",
+        Some(at(SENDER)),
+        seen_from(at(SENDER), &[car(1e5 + 400.0, -1e5, 0.0)]),
+    );
     let (kept, out) = guard(&mut operator, vec![], Some(empty_ground()), vec![again.clone()]);
     assert!(kept.is_empty() && out.counted("distrusted_messages") == 1);
     // After a while it is forgotten.
@@ -160,7 +195,16 @@ fn ghosts_where_nothing_stands_condemn_their_sender_and_nobody_else() {
     let feeds = [
         (Input::EGO, Message::new(ego.clone(), Boxes(vec![]))),
         (Input::CLOUDS, Message::new(ego.clone(), empty_ground())),
-        (Input::SELECTIONS, Message::new(ego, Selection { query: 8, entries: vec![again] })),
+        (
+            Input::SELECTIONS,
+            Message::new(
+                ego,
+                Selection {
+                    query: 8,
+                    entries: vec![again],
+                },
+            ),
+        ),
     ];
     for (port, message) in feeds {
         operator.on_message(port, message, &mut out).unwrap();
@@ -174,7 +218,12 @@ fn few_ghosts_are_dropped_one_by_one() {
     let mut theirs = seen_from(at(SENDER), &town());
     let ghost = transform_box(&relative(&at(SENDER), &at(EGO)), &car(-20.0, -5.0, 0.0));
     theirs.push(ghost);
-    let (kept, out) = guard(&mut new(), own, Some(empty_ground()), vec![entry("rsu1", Some(at(SENDER)), theirs.clone())]);
+    let (kept, out) = guard(
+        &mut new(),
+        own,
+        Some(empty_ground()),
+        vec![entry("rsu1", Some(at(SENDER)), theirs.clone())],
+    );
     let (_, Boxes(boxes)) = kept[0].clone().into_parts().unwrap();
     assert_eq!((boxes.len(), out.counted("free_boxes")), (theirs.len() - 1, 1));
 }
@@ -183,7 +232,9 @@ fn few_ghosts_are_dropped_one_by_one() {
 fn what_is_wrong_is_counted_and_nothing_panics() {
     let own = seen_from(at(EGO), &town());
     let theirs = seen_from(at(SENDER), &town());
-    let mut many: Vec<Box3> = (0..10_000).map(|n| car(f64::from(n % 100), f64::from(n / 100) - 50.0, 0.1)).collect();
+    let mut many: Vec<Box3> = (0..10_000)
+        .map(|n| car(f64::from(n % 100), f64::from(n / 100) - 50.0, 0.1))
+        .collect();
     many[0].center[1] = f64::NAN;
     let mut covariance = entry("cav2", Some(at(SENDER)), theirs.clone());
     covariance.header.pose.as_mut().unwrap().covariance = Some(Box::new([f64::NAN; 36]));
@@ -199,23 +250,39 @@ fn what_is_wrong_is_counted_and_nothing_panics() {
         entry("rsu4", None, theirs),
     ];
     let (_, out) = guard(&mut new(), own, Some(PointCloud::empty()), entries);
-    let counted = ["excess_boxes", "implausible_boxes", "wrong_covariances", "unchecked_messages", "placed_messages"];
+    let counted = [
+        "excess_boxes",
+        "implausible_boxes",
+        "wrong_covariances",
+        "unchecked_messages",
+        "placed_messages",
+    ];
     assert_eq!(counted.map(|name| out.counted(name)), [10_000 - 256 - 1, 1, 2, 1, 1]);
 }
 
 #[test]
 fn a_selection_alone_is_an_error_and_who_is_off_checks_nothing() {
     let ego = header("cav1", 7, 100 * MS, Some(at(EGO)));
-    let selection = Selection { query: 7, entries: vec![] };
+    let selection = Selection {
+        query: 7,
+        entries: vec![],
+    };
     let mut out = Outputs::at(0);
-    let error = new().on_message(Input::SELECTIONS, Message::new(ego, selection), &mut out).unwrap_err();
+    let error = new()
+        .on_message(Input::SELECTIONS, Message::new(ego, selection), &mut out)
+        .unwrap_err();
     assert!(error.to_string().contains("without the ego's message"), "{error}");
     let off = Settings {
         enabled: false,
         ..Settings::default()
     };
     let said = entry("cav2", Some(at(EGO)), ghosts(20));
-    let (kept, _) = guard(&mut FusionGuard::new(off).unwrap(), vec![], Some(empty_ground()), vec![said.clone()]);
+    let (kept, _) = guard(
+        &mut FusionGuard::new(off).unwrap(),
+        vec![],
+        Some(empty_ground()),
+        vec![said.clone()],
+    );
     assert_eq!(kept, [said]);
 }
 
@@ -238,7 +305,12 @@ fn clocks_that_are_off_are_corrected_in_stamps() {
     let mut operator = FusionGuard::new(settings).unwrap();
     let theirs = entry("rsu1", Some(at(SENDER)), seen_from(at(SENDER), &at_time(-0.6)));
     for _ in 0..3 {
-        let (kept, out) = guard(&mut operator, seen_from(at(EGO), &at_time(0.0)), None, vec![theirs.clone()]);
+        let (kept, out) = guard(
+            &mut operator,
+            seen_from(at(EGO), &at_time(0.0)),
+            None,
+            vec![theirs.clone()],
+        );
         let ahead = theirs.header.stamp - kept[0].header.stamp;
         assert!((ahead - 600 * MS).abs() < 20 * MS, "{ahead} ns");
         assert_eq!(out.counted("corrected_clocks"), 1);
