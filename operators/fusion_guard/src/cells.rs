@@ -133,10 +133,10 @@ impl Ground {
     fn improve(&self, places: &[Vector2<f64>], start: Shift) -> (f64, Shift) {
         let value = |shift: &Shift| self.score(places, shift) - against(shift);
         let mut best = (value(&start), start);
-        for half in 1..=4 {
+        for half in 0..=4 {
             let size = 0.5f64.powi(half);
-            for _ in 0..2 {
-                let center = best.1;
+            for _ in 0..6 {
+                let (before, center) = best;
                 for (x, y, turn) in [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)] {
                     let by = center.by + Vector2::new(f64::from(x), f64::from(y)) * (STEP_M * size);
                     let turn = center.turn + f64::from(turn) * STEP_RAD * size;
@@ -145,6 +145,9 @@ impl Ground {
                     if found > best.0 {
                         best = (found, shift);
                     }
+                }
+                if best.0 == before {
+                    break;
                 }
             }
         }
