@@ -177,6 +177,87 @@ fn late_fusion_of_boxes_in_motion_runs_on_dora() {
     assert!(result["tracking"]["vehicle"]["HOTA"].as_f64() > Some(0.3), "{result}");
 }
 
+/// A log of four agents with a sweep a second.
+fn guarded_log() -> PathBuf {
+    let args = [
+        "--scenario",
+        "mixed",
+        "--place",
+        "907",
+        "--seed",
+        "907",
+        "--seconds",
+        "3",
+        "--key-sweeps-only",
+    ];
+    simulated("guarded", &args)
+}
+
+/// AP of vehicles at IoU 0.5 and the result of a run whose settings are changed so.
+fn guarded_run(out: &str, graph: &str, changes: &[&str]) -> (f64, Value) {
+    let sets: Vec<&str> = changes.iter().flat_map(|change| ["--set", change]).collect();
+    let args = ["--recorded-detections", "--offline", "--ego", "cav1"];
+    let result = run_virtual(out, graph, &guarded_log(), &[&args[..], &sets].concat());
+    let ap = result["accuracy"]["sorted"]["AP"]["vehicle"]["0.5"]
+        .as_f64()
+        .expect("an AP");
+    (ap, result)
+}
+
+#[test]
+fn a_guard_wins_back_what_wrong_poses_cost_and_costs_nothing_where_they_are_right() {
+    let noise = [
+        "others.sense.localization.position_noise_m=3",
+        "others.sense.localization.heading_noise_deg=1",
+    ];
+    let (alone, _) = guarded_run("guard_alone", "no_fusion", &[]);
+    let (exact, _) = guarded_run("guard_exact", "late_fusion", &[]);
+    let (wrong, _) = guarded_run("guard_wrong", "late_fusion", &noise);
+    assert!(exact > alone && wrong < alone, "{exact}, {alone} alone, {wrong}");
+    let (kept, right) = guarded_run("guard_right", "late_fusion_guarded", &[]);
+    assert!(kept >= exact - 0.005, "{kept} of {exact}");
+    assert_eq!(
+        right["nodes"]["fusion.guard"]["counters"]["corrected_messages"],
+        Value::Null,
+        "{right}"
+    );
+    let (won, corrected) = guarded_run("guard_corrects", "late_fusion_guarded", &noise);
+    assert!(
+        won - wrong >= 0.75 * (exact - wrong),
+        "{won} of {exact}, {wrong} without a guard"
+    );
+    assert!(corrected["nodes"]["fusion.guard"]["counters"]["corrected_messages"].as_u64() > Some(4));
+    let (again, _) = guarded_run("guard_again", "late_fusion_guarded", &noise);
+    assert_eq!(again, won);
+}
+
+#[test]
+fn a_liar_is_left_out_by_name_and_costs_the_others_nothing() {
+    let lies = [
+        "others.liar.agents=cav2",
+        "others.liar.scatter_m=4",
+        "others.liar.ghosts=30",
+        "others.liar.score=0.99",
+    ];
+    let (alone, _) = guarded_run("guard_alone_again", "no_fusion", &[]);
+    let (guarded, result) = guarded_run("guard_liar", "late_fusion_attacked", &lies);
+    let off = [&lies[..], &["fusion.guard.enabled=false"]].concat();
+    let (unguarded, _) = guarded_run("guard_off", "late_fusion_attacked", &off);
+    assert!(
+        unguarded < alone && guarded >= alone - 0.005,
+        "{guarded}, {alone} alone, {unguarded} without a guard"
+    );
+    let books = |agent: &str| result["links"][format!("{agent}-cav1")]["boxes"]["distrusted"].as_u64();
+    assert!(books("cav2") > Some(0), "{result}");
+    assert_eq!(["rsu1", "rsu2"].map(books), [Some(0); 2]);
+    let notes = result["notes"].as_array().expect("notes");
+    let named = |note: &Value| {
+        note.as_str()
+            .is_some_and(|note| note.contains("cav2") && note.contains("left out"))
+    };
+    assert!(notes.iter().any(named), "{notes:#?}");
+}
+
 #[test]
 fn inputs_that_hang_on_one_wire_do_so_with_others() {
     let mut stages: BTreeMap<&str, Vec<&str>> = BTreeMap::new();

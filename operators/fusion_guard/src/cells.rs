@@ -1,7 +1,7 @@
-//! Cells of the ground that are taken, compared where no boxes are: points, and features of BEV maps.
+//! Cells of the ground in which something stands, compared where no boxes are.
 
 use nalgebra::{Isometry3, Point3, Vector2};
-use realo_schemas::{FeatureMap, PointCloud};
+use realo_schemas::PointCloud;
 
 use crate::search::Reach;
 use crate::shift::Shift;
@@ -22,8 +22,6 @@ const STEP_RAD: f64 = 0.035;
 const CANDIDATES: usize = 12;
 /// Heights over the ground between which points stand on it, m.
 const STANDS_M: [f64; 2] = [0.4, 2.5];
-/// Share of a map's cells that count as taken: those with the largest features.
-const TAKEN: f64 = 0.03;
 
 /// The ground around the ego by what it knows of it, `[SIDE, SIDE]`: 1 where something stands, below 0 where nothing does, 0 unknown.
 pub struct Ground {
@@ -51,23 +49,6 @@ impl Ground {
             Seen::Free => FREE,
             Seen::Nothing => 0.0,
         })
-    }
-
-    /// What a map's features show: the cells with the largest ones are taken.
-    ///
-    /// `None` for a map whose numbers cannot be read.
-    pub fn of_map(map: &FeatureMap) -> Option<Self> {
-        let (energy, limit) = energy(map)?;
-        let [rows, columns, _] = map.size();
-        Some(Ground::of(|place| {
-            let [x, y] = [place.x - map.origin[0], place.y - map.origin[1]].map(|along| (along / map.cell).floor());
-            let is_inside = x >= 0.0 && y >= 0.0 && x < columns as f64 && y < rows as f64;
-            match is_inside.then(|| energy[y as usize * columns + x as usize]) {
-                None => 0.0,
-                Some(value) if value >= limit => 1.0,
-                Some(_) => FREE,
-            }
-        }))
     }
 
     /// Values of places, smoothed over neighbours so that a search feels its way.
@@ -152,10 +133,10 @@ impl Ground {
     fn improve(&self, places: &[Vector2<f64>], start: Shift) -> (f64, Shift) {
         let value = |shift: &Shift| self.score(places, shift) - against(shift);
         let mut best = (value(&start), start);
-        for half in 1..=4 {
+        for half in 0..=4 {
             let size = 0.5f64.powi(half);
-            for _ in 0..2 {
-                let center = best.1;
+            for _ in 0..6 {
+                let (before, center) = best;
                 for (x, y, turn) in [(1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1)] {
                     let by = center.by + Vector2::new(f64::from(x), f64::from(y)) * (STEP_M * size);
                     let turn = center.turn + f64::from(turn) * STEP_RAD * size;
@@ -164,6 +145,9 @@ impl Ground {
                     if found > best.0 {
                         best = (found, shift);
                     }
+                }
+                if best.0 == before {
+                    break;
                 }
             }
         }
@@ -207,39 +191,57 @@ pub fn standing(cloud: &PointCloud, ego_from_sender: &Isometry3<f64>) -> Vec<Vec
         .collect()
 }
 
-/// Places in the ego's frame of the taken cells of a collaborator's map.
-///
-/// `None` for a map whose numbers cannot be read.
-pub fn taken(map: &FeatureMap, ego_from_sender: &Isometry3<f64>) -> Option<Vec<Vector2<f64>>> {
-    let (energy, limit) = energy(map)?;
-    let columns = map.size()[1];
-    let place = |cell: usize| {
-        let [x, y] = [(cell % columns, 0), (cell / columns, 1)]
-            .map(|(cell, axis)| (cell as f64 + 0.5) * map.cell + map.origin[axis]);
-        let at = ego_from_sender * Point3::new(x, y, 0.0);
-        Vector2::new(at.x, at.y)
-    };
-    Some(
-        (0..energy.len())
-            .filter(|cell| energy[*cell] >= limit)
-            .map(place)
-            .collect(),
-    )
-}
+#[cfg(test)]
+pub(crate) mod tests {
+    use nalgebra::{Translation3, UnitQuaternion};
 
-/// How large the features of each cell are, and from which size on a cell is taken.
-fn energy(map: &FeatureMap) -> Option<(Vec<f32>, f32)> {
-    let numbers = map.numbers().ok()?;
-    let channels = map.channels.max(1) as usize;
-    let energy: Vec<f32> = numbers
-        .chunks_exact(channels)
-        .map(|cell| cell.iter().map(|value| value * value).sum())
-        .collect();
-    if energy.iter().any(|value| !value.is_finite()) {
-        return None;
+    use super::*;
+    use crate::view::tests::sweep;
+
+    pub(crate) const BLOCKS: [([f64; 2], [f64; 2], f64); 5] = [
+        ([15.0, 3.0], [2.25, 0.95], 1.5),
+        ([8.0, -9.0], [0.95, 2.25], 1.5),
+        ([-12.0, 6.0], [2.25, 0.95], 1.6),
+        ([0.0, -25.0], [14.0, 0.5], 4.0),
+        ([-20.0, -10.0], [0.5, 6.0], 3.0),
+    ];
+    const REACH: Reach = Reach {
+        metres: 12.0,
+        turn: 0.21,
+    };
+
+    #[test]
+    fn cells_are_laid_over_what_the_ego_sees() {
+        let cloud = sweep(1.9, &BLOCKS, true);
+        let ground = Ground::of_view(&View::of(&cloud));
+        for (x, y, yaw) in [(3.0, -2.0, 0.0), (-5.0, 4.0, 0.05), (1.0, 0.0, -0.08)] {
+            let wrong = Isometry3::from_parts(
+                Translation3::new(x, y, 0.0),
+                UnitQuaternion::from_euler_angles(0.0, 0.0, yaw),
+            );
+            let places = standing(&cloud, &wrong);
+            let found = ground
+                .lay(&places, Vector2::new(x, y), &REACH)
+                .expect("there are places");
+            let back = found.shift.isometry() * wrong;
+            let off = (back * Point3::new(10.0, 5.0, 0.0) - Point3::new(10.0, 5.0, 0.0)).norm();
+            assert!(off < 0.6, "{off} m for {x} {y} {yaw}: {found:?}");
+            assert!(found.score > found.stated && found.score > found.runner_up, "{found:?}");
+        }
+        assert_eq!(ground.lay(&[], Vector2::zeros(), &REACH), None);
     }
-    let mut sorted = energy.clone();
-    sorted.sort_by(|a, b| b.total_cmp(a));
-    let limit = *sorted.get((TAKEN * sorted.len() as f64) as usize)?;
-    Some((energy, limit.max(f32::MIN_POSITIVE)))
+
+    #[test]
+    fn cells_stand_between_knee_and_roof() {
+        let cloud = PointCloud::new(
+            vec![5.0, 5.1, 9.0, 9.0, f32::NAN, 1e9],
+            vec![1.0, 1.1, 1.0, 1.0, 0.0, 0.0],
+            vec![1.0, 1.2, 0.0, 5.0, 1.0, 1.0],
+            vec![0u8; 6],
+            vec![0; 6],
+            vec![0u16; 6],
+        );
+        let places = standing(&cloud.expect("columns of one length"), &Isometry3::identity());
+        assert_eq!(places, [Vector2::new(5.25, 1.25)]);
+    }
 }

@@ -2,6 +2,7 @@
 
 use nalgebra::Vector2;
 use realo_assignment::AssignmentError;
+use realo_schemas::geometry::normalize_yaw;
 
 use crate::fit::{Fit, Noise, Scene, fit};
 use crate::objects::Object;
@@ -61,7 +62,8 @@ pub fn lay_over(ego: &[Object], theirs: &[Object], noise: &Noise) -> Result<Opti
     let Some((support, best)) = refined.first().copied() else {
         return Ok(None);
     };
-    let elsewhere = |shift: &Shift| (shift.by - best.by).norm() > 1.0 || (shift.turn - best.turn).abs() > 0.1;
+    let elsewhere =
+        |shift: &Shift| (shift.by - best.by).norm() > 1.0 || normalize_yaw(shift.turn - best.turn).abs() > 0.1;
     let other = refined
         .iter()
         .find(|(_, shift)| elsewhere(shift))
@@ -120,7 +122,7 @@ fn motion(scene: &Scene, own: &Edge, other: &Edge) -> Option<Shift> {
         return None;
     }
     let angle = |along: &Vector2<f64>| libm::atan2(along.y, along.x);
-    let turn = angle(&own.along) - angle(&other.along);
+    let turn = normalize_yaw(angle(&own.along) - angle(&other.along));
     let fits = |(own, other): (&usize, &usize)| {
         let (own, other) = (&scene.ego[*own], &scene.theirs[*other]);
         !own.is_long() || half_turn(own.yaw - other.yaw - turn).abs() <= HEADING

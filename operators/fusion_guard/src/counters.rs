@@ -16,7 +16,7 @@ pub(crate) const PLACED_MESSAGES: Counter = Counter::plain(
 );
 pub(crate) const FREE_BOXES: Counter = Counter::plain(
     "free_boxes",
-    "boxes dropped: the ego sees that nothing stands there at its time",
+    "boxes and points dropped: the ego sees that nothing stands there at its time",
 );
 pub(crate) const UNCHECKED_MESSAGES: Counter = Counter::plain(
     "unchecked_messages",

@@ -37,7 +37,7 @@ mod verdict;
 mod view;
 
 pub use boxes::{Ego, Judgement, Known, Limits, Origin, judge};
-pub use cells::{Ground, Overlay, standing, taken};
+pub use cells::{Ground, Overlay, standing};
 pub use clock::ahead_s;
 pub use constellation::lay_over;
 pub use fit::{Fit, GATE_M, Noise, Scene, fit};

@@ -14,6 +14,9 @@ use crate::search::Reach;
 use crate::sight::Sight;
 use crate::verdict::Reason;
 
+/// Objects of the ego and of others by which an agent is placed.
+const KNOWN: usize = 512;
+
 /// Settings of [`FusionGuard`].
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 pub struct Settings {
@@ -188,6 +191,7 @@ impl FusionGuard {
         let own = sight.known.len();
         for one in guarded.iter().filter(|one| one.is_confirmed()) {
             sight.known.extend(one.objects().cloned());
+            sight.known.truncate(KNOWN.max(own));
         }
         let mut kept = Vec::new();
         for mut one in guarded {

@@ -5,7 +5,9 @@ use realo_schemas::{Nanos, to_seconds};
 /// What was confirmed before anything was, so that a newcomer is believed and a few mistakes do not condemn it.
 const WELCOME: f64 = 2.0;
 /// What contradicts the ego weighs more than what is confirmed: an honest detector errs seldom.
-const HARM: f64 = 3.0;
+const HARM: f64 = 6.0;
+/// What an honest detector gets wrong now and then.
+const FORGIVEN: f64 = 1.0;
 /// Most that a record holds, so that no long good conduct pays for a lie.
 const BOUND: f64 = 40.0;
 /// Standard deviation of a pose of which nothing is known, m, and for how many corrections that counts.
@@ -76,7 +78,7 @@ impl Record {
     /// How much of what it says is true where the ego can see, 0 to 1; 1 of a newcomer.
     pub fn trust(&self) -> f64 {
         let good = self.confirmed + WELCOME;
-        good / (good + HARM * self.contradicted)
+        good / (good + HARM * (self.contradicted - FORGIVEN).max(0.0))
     }
 
     /// Standard deviation of its place that earlier corrections show, m; `stated`: what it says itself.

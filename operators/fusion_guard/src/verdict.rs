@@ -29,6 +29,8 @@ pub struct Shares {
 
 /// What a box where something stands says for its sender: walls and bushes stand, too.
 const SOMETHING: f64 = 0.3;
+/// So many boxes of a message speak for its sender at most.
+const ENOUGH: f64 = 10.0;
 /// Less than this many sure boxes in free space are mistakes.
 const MISTAKES: f64 = 1.5;
 /// Trust below which an agent is left out, and from which it counts in full.
@@ -55,9 +57,9 @@ impl Shares {
         shares
     }
 
-    /// What speaks for the sender.
+    /// What speaks for the sender. It is bounded: saying much that the ego sees itself does not make up for lies.
     pub fn confirmed(&self) -> f64 {
-        self.paired + SOMETHING * self.something
+        (self.paired + SOMETHING * self.something).min(ENOUGH)
     }
 
     /// Why the message is left out, if it is. `is_found`: whether enough pairs say where its sender is; `trust` and `pose_m`: what is known

@@ -13,6 +13,7 @@ const SHIPPED: &[Registration] = &[
     Registration::operator::<realo_detection_head::DetectionHead>(),
     Registration::operator::<realo_stages::Nms>(),
     Registration::operator::<realo_stages::Tracker>(),
+    Registration::operator::<realo_stages::Liar>(),
     Registration::operator::<realo_stages::TransmissionEncoder>(),
     Registration::operator::<realo_stages::Link>(),
     Registration::gateway::<realo_radio::Radio>(),

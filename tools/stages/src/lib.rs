@@ -5,6 +5,7 @@
 pub use realo_evaluator::Evaluator;
 pub use realo_feature_bank::FeatureBank;
 pub use realo_fusion_guard::FusionGuard;
+pub use realo_liar::Liar;
 pub use realo_link::{self as link, Link};
 pub use realo_localization::Localization;
 pub use realo_nms::Nms;

@@ -1,3 +1,5 @@
+use std::sync::LazyLock;
+
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use proptest::prelude::*;
 use realo_operator::PortId;
@@ -6,6 +8,7 @@ use realo_schemas::report::Fate;
 use realo_schemas::{Box3, Boxes, Kind, Pose};
 
 use super::*;
+use crate::cells::tests::BLOCKS;
 use crate::objects::tests::{car, pedestrian};
 use crate::view::tests::sweep;
 
@@ -85,7 +88,8 @@ fn new() -> FusionGuard {
 
 /// A sweep of flat ground with nothing on it but a wall far behind.
 fn empty_ground() -> PointCloud {
-    sweep(1.9, &[([0.0, -45.0], [30.0, 0.5], 4.0)], true)
+    static GROUND: LazyLock<PointCloud> = LazyLock::new(|| sweep(1.9, &[([0.0, -45.0], [30.0, 0.5], 4.0)], true));
+    GROUND.clone()
 }
 
 #[test]
@@ -317,8 +321,43 @@ fn clocks_that_are_off_are_corrected_in_stamps() {
     }
 }
 
+#[test]
+fn points_are_laid_over_the_egos_own_and_ghosts_among_them_are_gone() {
+    let own = sweep(1.9, &BLOCKS, true);
+    let with = |column: &[f32], more: f32| column.iter().copied().chain([more; 50]).collect::<Vec<f32>>();
+    let n = own.len() + 50;
+    let (x, y, z) = (with(&own.x, 7.0), with(&own.y, 5.0), with(&own.z, 1.0));
+    let theirs = PointCloud::new(x, y, z, vec![9u8; n], vec![0; n], vec![0u16; n]).expect("columns of one length");
+    let mut stated = at((3.0, -2.0, EGO.2 + 0.03));
+    stated.translation.z += 1.5;
+    let ego = header("cav1", 7, 100 * MS, Some(at(EGO)));
+    let entries = vec![Message::new(header("rsu1", 3, 100 * MS, Some(stated)), theirs)];
+    let (mut operator, mut out) = (new(), Outputs::at(200 * MS));
+    operator
+        .on_message(Input::EGO, Message::new(ego.clone(), own.clone()), &mut out)
+        .unwrap();
+    operator
+        .on_message(
+            Input::SELECTIONS,
+            Message::new(ego, Selection { query: 7, entries }),
+            &mut out,
+        )
+        .unwrap();
+    let (_, selection) = out.take_sent().remove(0).1.into_parts::<Selection>().unwrap();
+    let (header, kept) = selection.entries[0].clone().into_parts::<PointCloud>().unwrap();
+    let off = header.pose.unwrap().map_from_frame.translation.vector - at(EGO).translation.vector;
+    assert!(libm::hypot(off.x, off.y) < 0.5 && off.z.abs() < 0.1, "{off}");
+    assert!(
+        kept.len() <= own.len() && kept.len() > own.len() * 9 / 10,
+        "{} of {}",
+        kept.len(),
+        own.len()
+    );
+    assert_eq!(out.counted("corrected_messages"), 1);
+}
+
 proptest! {
-    #![proptest_config(ProptestConfig::with_cases(64))]
+    #![proptest_config(ProptestConfig::with_cases(12))]
 
     #[test]
     fn whatever_comes_in_nothing_panics_and_no_more_comes_out(
