@@ -77,7 +77,7 @@ pub struct Settings {
     /// With source=gnss or map, the motion sensors: `auto` (by the noise that an IMU says of itself), `consumer`, `tactical` or `rtk`.
     pub unit: UnitChoice,
     /// With source=map, share of a sweep's points off the ground that must be near the map's surfaces.
-    #[setting(default = 0.4, range = 0.0..=1.0)]
+    #[setting(default = 0.35, range = 0.0..=1.0)]
     pub min_share: f64,
     /// With source=gnss or map, whether the motion within a sweep is removed by the estimated motion; set `deskew=false` at `sync` then, which
     /// does it by recorded poses.

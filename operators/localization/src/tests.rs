@@ -77,7 +77,11 @@ fn street() -> Vec<Point3<f64>> {
 fn sweep(street: &[Point3<f64>], map_from_body: &Isometry3<f64>, seed: u64) -> PointCloud {
     let body_from_map = map_from_body.inverse();
     let seen = street.iter().map(|point| body_from_map * point);
-    let near: Vec<Point3<f64>> = seen.filter(|point| point.coords.norm() < 45.0).collect();
+    let mut near: Vec<Point3<f64>> = seen.filter(|point| point.coords.norm() < 45.0).collect();
+    // In an order that prefers no height: of the points of a cell the first is used.
+    for at in (1..near.len()).rev() {
+        near.swap(at, (draw(seed, at as u64) * at as f64) as usize);
+    }
     let axis = |axis: usize| -> Vec<f32> {
         let noisy =
             |(n, point): (usize, &Point3<f64>)| (point[axis] + 0.02 * noise(seed, 3 * n as u64 + axis as u64)) as f32;
