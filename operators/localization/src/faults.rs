@@ -223,7 +223,7 @@ const FAULTS: [Counter; Fault::ALL.len()] = [
 
 /// All that the stage counts.
 pub(crate) const COUNTERS: &[Counter] = &{
-    const OWN: [Counter; 14] = [
+    const OWN: &[Counter] = &[
         IMU_SAMPLES,
         GNSS_FIXES,
         WHEEL_SPEEDS,
