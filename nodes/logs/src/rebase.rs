@@ -193,10 +193,12 @@ fn clock(agent: &Name, stream: Stream, messages: u64, watch: &StampWatch) -> Sen
 fn words(stream: Stream, watch: &StampWatch, (stamp, ready): (Nanos, Nanos)) -> String {
     let step = watch.last_step();
     let faults = watch.faults();
-    let mut words = vec![match step {
-        0 => crate::clock_words(stamp, ready),
-        _ => format!("stamps step by {} s", seconds(step)),
-    }];
+    let mut words = Vec::new();
+    if step != 0 {
+        words.push(format!("stamps step by {} s", seconds(step)));
+    } else if watch.epoch() != Some(Epoch::Same) {
+        words.push(crate::clock_words(stamp, ready));
+    }
     for (fault, name) in [
         (StampFault::Repeated, "repeated"),
         (StampFault::StandsStill, "standing still"),

@@ -89,8 +89,9 @@ fn drive(draws: &mut Draws, clocks: Clocks, seconds: usize) -> Vec<Message> {
         if step % 4_000 == 0 {
             aim = if step % 8_000 == 0 { 0.3 * draws.normal() } else { 0.0 };
         }
+        let last = rate;
         rate += (aim - rate) * 2e-3;
-        yaw += rate * 1e-3;
+        yaw += 0.5 * (last + rate) * 1e-3;
         if step % 10 == 0 {
             let arrival = now + from_seconds(1e-3 * (1.0 + 2.0 * draws.uniform()));
             imu.push((
