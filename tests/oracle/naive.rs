@@ -141,7 +141,8 @@ fn encode<'w>(world: &World, sweeps: &[At<'w>], reported: &mut Reported<'w>, rea
     };
     for (place, at) in &served.calls {
         if world.strategy != Strategy::Projected {
-            encoded.packets.push(*at);
+            // Nobody can use what is nowhere.
+            encoded.packets.extend(at.said.spot.map(|_| *at));
             continue;
         }
         let taken = reported.known.get(at.agent()).into_iter().flatten();

@@ -67,7 +67,10 @@ fn street() -> Vec<Point3<f64>> {
     }
     for x in -48..48 {
         for y in -48..48 {
-            points.push(Point3::new(2.0 * f64::from(x), 2.0 * f64::from(y), 0.0));
+            // Three points of a cell of the map, since one alone is no plane.
+            for [aside, along] in [[0.1, 0.1], [0.6, 0.1], [0.1, 0.6]] {
+                points.push(Point3::new(2.0 * f64::from(x) + aside, 2.0 * f64::from(y) + along, 0.0));
+            }
         }
     }
     points

@@ -3,7 +3,7 @@ use std::collections::BTreeMap;
 use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings};
 use realo_schemas::geometry::{is_valid, relative, transform_box};
 use realo_schemas::report::{ON_AIR, OnAir, from_report};
-use realo_schemas::{Box3, Boxes, Elements, Header, Message, Name, Packet, Payload, Report, body_frame};
+use realo_schemas::{Box3, Boxes, Elements, Header, Message, Name, Packet, Payload, PoseStatus, Report, body_frame};
 use serde::{Deserialize, Serialize};
 
 use crate::cells::Covering;
@@ -215,6 +215,21 @@ pub enum Output {
     StatePackets(Header, Packet),
 }
 
+/// Whether nobody can use a message, since it is in a frame that nobody knows the place of; counts it.
+fn is_unplaced(input: &Input, out: &mut Outputs<Output>) -> bool {
+    let nowhere = |header: &Header| header.pose.is_none() && header.frame == body_frame(&header.agent);
+    let (header, is_unplaced) = match input {
+        Input::OnAir(..) => return false,
+        Input::Detected(header, _) => (header, nowhere(header)),
+        Input::Messages(Message { header, payload, .. }) => match payload {
+            Payload::AgentState(state) => (header, matches!(state.status, PoseStatus::Init | PoseStatus::Lost)),
+            _ => (header, nowhere(header)),
+        },
+    };
+    out.count_of(&UNPLACED_MESSAGES, &header.agent, u64::from(is_unplaced), 1);
+    is_unplaced
+}
+
 impl TransmissionEncoder {
     /// Sends a message of its own accord, whatever else its sender sends.
     fn send(&mut self, message: &Message, out: &mut Outputs<Output>) -> Result<usize, Error> {
@@ -350,13 +365,8 @@ impl Operator for TransmissionEncoder {
     }
 
     fn on_input(&mut self, input: Input, out: &mut Outputs<Output>) -> Result<(), Error> {
-        if let Input::Messages(Message { header, .. }) | Input::Detected(header, _) = &input {
-            // Nobody can use what is in a frame that nobody knows the place of.
-            let is_unplaced = header.pose.is_none() && header.frame == body_frame(&header.agent);
-            out.count_of(&UNPLACED_MESSAGES, &header.agent, u64::from(is_unplaced), 1);
-            if is_unplaced {
-                return Ok(());
-            }
+        if is_unplaced(&input, out) {
+            return Ok(());
         }
         match input {
             Input::Messages(message) => match message.payload {
