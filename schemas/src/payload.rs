@@ -386,7 +386,7 @@ impl AgentState {
             // The chord of an arc has the direction of its middle.
             let half = nalgebra::UnitQuaternion::from_scaled_axis(pose.rotation * (0.5 * turn));
             let angle = 0.5 * turn.norm();
-            let chord = if angle > 1e-6 { angle.sin() / angle } else { 1.0 };
+            let chord = if angle > 1e-6 { libm::sin(angle) / angle } else { 1.0 };
             pose.translation.vector += half * velocity * (seconds * chord);
         }
         pose.rotation *= nalgebra::UnitQuaternion::from_scaled_axis(turn);

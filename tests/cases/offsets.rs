@@ -212,7 +212,8 @@ fn a_clock_that_counts_from_boot_is_put_right_by_arrivals() {
 #[test]
 fn stamps_that_repeat_run_backwards_or_stand_still_are_left_out_if_asked_for() {
     let number = |message: &Raw| (message.header_stamp() - T0).div_euclid(100 * MS);
-    let faults: [(&str, fn(i64) -> i64, u64); 3] = [
+    type Instead = fn(i64) -> i64;
+    let faults: [(&str, Instead, u64); 3] = [
         ("repeat", |number| if number == 7 { 6 } else { number }, 1),
         (
             "backwards",

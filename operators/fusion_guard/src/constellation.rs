@@ -87,7 +87,7 @@ fn edges(objects: &[Object], both_ways: bool) -> Vec<Edge> {
         for (other, to) in surest.iter().enumerate() {
             let along = objects[*to].center - objects[*from].center;
             let length = along.norm();
-            if place != other && (both_ways || place < other) && length >= APART_M[0] && length <= APART_M[1] {
+            if place != other && (both_ways || place < other) && (APART_M[0]..=APART_M[1]).contains(&length) {
                 let ends = [*from, *to];
                 edges.push(Edge { ends, along, length });
             }

@@ -192,19 +192,17 @@ impl Guarded {
         let Some(judgement) = self.judgement else {
             return message;
         };
-        if let (Some(origin), Some(map_from_ego), Some(pose)) = (
-            origin,
-            ego.pose.as_ref().map(|pose| pose.map_from_frame),
-            &mut message.header.pose,
-        ) {
-            if judgement.shift != Shift::none(judgement.shift.pivot) || judgement.rise != 0.0 {
-                let rise = Translation3::new(0.0, 0.0, judgement.rise);
-                pose.map_from_frame = map_from_ego * rise * judgement.shift.isometry() * origin.ego_from_sender;
-                let found = judgement
-                    .covariance
-                    .map(|covariance| in_map(&covariance, yaw_of(&map_from_ego.rotation)));
-                pose.covariance = found.or(pose.covariance.take());
-            }
+        let is_moved = judgement.shift != Shift::none(judgement.shift.pivot) || judgement.rise != 0.0;
+        let map_from_ego = ego.pose.as_ref().map(|pose| pose.map_from_frame);
+        if is_moved
+            && let (Some(origin), Some(map_from_ego), Some(pose)) = (origin, map_from_ego, &mut message.header.pose)
+        {
+            let rise = Translation3::new(0.0, 0.0, judgement.rise);
+            pose.map_from_frame = map_from_ego * rise * judgement.shift.isometry() * origin.ego_from_sender;
+            let found = judgement
+                .covariance
+                .map(|covariance| in_map(&covariance, yaw_of(&map_from_ego.rotation)));
+            pose.covariance = found.or(pose.covariance.take());
         }
         message.header.stamp = message.header.stamp.saturating_sub(from_seconds(judgement.ahead_s));
         message.payload = judgement.kept;

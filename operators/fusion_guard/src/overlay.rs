@@ -115,7 +115,8 @@ fn heights(cloud: &PointCloud, ego_from_body: &Isometry3<f64>) -> Vec<Option<f64
     let mut sums = vec![(0.0, 0u32); PATCHES * PATCHES];
     for index in 0..cloud.len() {
         let point = Point3::new(cloud.x[index], cloud.y[index], cloud.z[index]).cast::<f64>();
-        if !(point.z.abs() <= LOW_M) {
+        // What is not a number is not low.
+        if point.z.is_nan() || point.z.abs() > LOW_M {
             continue;
         }
         let at = ego_from_body * point;

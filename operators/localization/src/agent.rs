@@ -260,10 +260,11 @@ impl Agent {
         out.count_of(&SCAN_UNFIT, agent, is(matches!(found, Found::Unfit)), 1);
         out.count_of(&SCAN_FEW_POINTS, agent, is(matches!(found, Found::FewPoints)), 1);
         out.count_of(&SCAN_OFF_MAP, agent, is(matches!(found, Found::OffMap)), 1);
-        let Found::Pose(map_from_body, information) = found else {
+        let Found::Pose(found) = found else {
             self.tried = None;
             return;
         };
+        let (map_from_body, information) = *found;
         out.count(&SCANS, agent, 1);
         self.taken.scans += 1;
         self.tried = Some(map_from_body);

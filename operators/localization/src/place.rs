@@ -66,7 +66,7 @@ pub(crate) struct Guess {
 #[derive(Clone, Debug)]
 pub(crate) enum Found {
     /// Its pose, and the pose's information, see [`realo_state_estimation::ScanPose`].
-    Pose(Isometry3<f64>, Matrix6<f64>),
+    Pose(Box<(Isometry3<f64>, Matrix6<f64>)>),
     /// The map is not like the sweep there.
     Unfit,
     /// It has too few points.
@@ -148,7 +148,7 @@ impl Place {
 
     fn found(&self, alignment: Result<Alignment, AlignError>) -> Found {
         match alignment {
-            Ok(found) if self.fits(&found) => Found::Pose(found.map_from_body, found.information),
+            Ok(found) if self.fits(&found) => Found::Pose(Box::new((found.map_from_body, found.information))),
             Ok(_) => Found::Unfit,
             Err(AlignError::FewPoints { .. }) => Found::FewPoints,
             Err(AlignError::Guess(_) | AlignError::OffMap { .. }) => Found::OffMap,

@@ -304,11 +304,10 @@ mod tests {
 
     /// An ego that drives a circle of 20 m to the left about the origin at 10 m/s.
     fn on_a_circle(angle: f64) -> AgentState {
-        let [east, north] = [-angle.sin(), angle.cos()];
-        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle + std::f64::consts::FRAC_PI_2);
+        let heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), angle);
         AgentState {
-            map_from_body: Isometry3::from_parts(Translation3::new(20.0 * north, -20.0 * east, 0.0), turn),
-            velocity: Some(Vector3::new(10.0 * east, 10.0 * north, 0.0)),
+            map_from_body: Isometry3::from_parts(Translation3::from(heading * Vector3::new(0.0, -20.0, 0.0)), heading),
+            velocity: Some(heading * Vector3::new(10.0, 0.0, 0.0)),
             angular_rate: Some(Vector3::new(0.0, 0.0, 0.5)),
             ..at_rest()
         }

@@ -109,7 +109,7 @@ fn a_wide_search_finds_it_from_five_metres_and_nine_degrees() {
         let angle = std::f64::consts::TAU * f64::from(k) / 8.0;
         let yaw = if k % 2 == 0 { 9f64 } else { -9.0 }.to_radians();
         let guess = Isometry3::from_parts(
-            (expected.translation.vector + 5.1 * Vector3::new(angle.cos(), angle.sin(), 0.0)).into(),
+            (expected.translation.vector + 5.1 * Vector3::new(libm::cos(angle), libm::sin(angle), 0.0)).into(),
             UnitQuaternion::from_scaled_axis(Vector3::z() * yaw) * expected.rotation,
         );
         assert!(pair.is_found(&guess, Search::Wide), "start {k}");
