@@ -203,6 +203,7 @@ mod tests {
             accel_noise: 0.0,
             gyro_bias_in_run: 0.0,
             accel_bias_in_run: 0.0,
+            gyro_scale: 0.0,
             ..*noise
         }
     }

@@ -24,7 +24,7 @@ const REFINE: (usize, f64) = (20, 1_000.0);
 /// What interpolation between rates and rounding of stamps add to the bound, ns.
 const FLOOR: f64 = 200_000.0;
 /// Standard deviations of a bound: 95 % and a little more with the six pieces of half a minute (Student's t).
-const SIGMAS: f64 = 2.6;
+const SIGMAS: f64 = 3.0;
 /// Standard deviation of headings, rad, where the fit does not show it.
 const EXPECTED: f64 = 3.5e-3;
 
@@ -86,7 +86,7 @@ impl NoMotionOffset {
 /// The offset of an IMU's clock from a scanner's: what is to be added to a stamp of the IMU to have the scanner's time.
 ///
 /// Headings are fitted by the integrated yaw rate, shifted in time; each piece of at most 5 s has a constant of its own, and all
-/// have one bias of the gyro. The bound is 2.6 standard deviations by the residuals, or by how far pieces differ from each other, whichever is wider: the
+/// have one bias of the gyro. The bound is three standard deviations by the residuals, or by how far pieces differ from each other, whichever is wider: the
 /// noise of a gyro adds up within a piece.
 ///
 /// # Errors
