@@ -28,7 +28,10 @@ const LOOK: Duration = Duration::from_millis(1);
 ///
 /// What a stream cannot show is not there: nothing is lost, comes twice or overtakes, a full queue holds the sender up, connections
 /// are made at once, and TCP's congestion control sees loopback. The rate counts what the streams carry, without headers.
-pub struct Relay(Arc<AtomicBool>);
+pub struct Relay {
+    over: Arc<AtomicBool>,
+    addresses: Vec<SocketAddr>,
+}
 
 impl Relay {
     /// Carries what connects to the first address of each pair to the second; the first direction of the link is that from who
@@ -39,10 +42,14 @@ impl Relay {
     pub fn start(link: Arc<Link>, ways: &[(SocketAddr, SocketAddr)]) -> io::Result<Relay> {
         let over = Arc::new(AtomicBool::new(false));
         let free = Arc::new(Mutex::new([Instant::now(); 2]));
-        let relay = Relay(over.clone());
+        let mut relay = Relay {
+            over: over.clone(),
+            addresses: Vec::new(),
+        };
         for (from, to) in ways {
             let listener =
                 TcpListener::bind(from).map_err(|error| io::Error::new(error.kind(), format!("{from}: {error}")))?;
+            relay.addresses.push(listener.local_addr()?);
             set(&listener, libc::SOL_SOCKET, libc::SO_RCVBUF, TAKEN)?;
             set(&listener, libc::IPPROTO_TCP, libc::TCP_MAXSEG, SEGMENT)?;
             listener.set_nonblocking(true)?;
@@ -64,11 +71,16 @@ impl Relay {
         }
         Ok(relay)
     }
+
+    /// Where it listens, pair by pair: with the port that port 0 became.
+    pub fn addresses(&self) -> &[SocketAddr] {
+        &self.addresses
+    }
 }
 
 impl Drop for Relay {
     fn drop(&mut self) {
-        self.0.store(true, Relaxed);
+        self.over.store(true, Relaxed);
     }
 }
 
@@ -143,14 +155,18 @@ fn write(link: &Link, source: &TcpStream, mut to: TcpStream, leaving: mpsc::Rece
 mod tests {
     use super::*;
 
-    /// A relay to a listener, and a connection through it: the end that connected, and the other.
-    fn joined(link: &Arc<Link>) -> (Relay, TcpStream, TcpStream) {
+    /// A relay, and the listener that it carries to.
+    fn relay(link: &Arc<Link>) -> (Relay, TcpListener) {
+        let any = "127.0.0.1:0".parse().unwrap();
         let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-        let probe = TcpListener::bind("127.0.0.1:0").unwrap();
-        let from = probe.local_addr().unwrap();
-        drop(probe);
-        let relay = Relay::start(link.clone(), &[(from, listener.local_addr().unwrap())]).unwrap();
-        let near = TcpStream::connect(from).unwrap();
+        let relay = Relay::start(link.clone(), &[(any, listener.local_addr().unwrap())]).unwrap();
+        (relay, listener)
+    }
+
+    /// A connection through a relay: the end that connected, and the other.
+    fn joined(link: &Arc<Link>) -> (Relay, TcpStream, TcpStream) {
+        let (relay, listener) = relay(link);
+        let near = TcpStream::connect(relay.addresses()[0]).unwrap();
         let (far, _) = listener.accept().unwrap();
         near.set_nodelay(true).unwrap();
         far.set_nodelay(true).unwrap();
@@ -204,14 +220,10 @@ mod tests {
 
     #[test]
     fn connections_share_the_rate() {
-        let listener = TcpListener::bind("127.0.0.1:0").unwrap();
-        let probe = TcpListener::bind("127.0.0.1:0").unwrap();
-        let (from, to) = (probe.local_addr().unwrap(), listener.local_addr().unwrap());
-        drop(probe);
-        let _relay = Relay::start(link(&[("rate", 40.0)]), &[(from, to)]).unwrap();
+        let (relay, listener) = relay(&link(&[("rate", 40.0)]));
         let begun = Instant::now();
         let carried = [0, 1].map(|_| {
-            let mut near = TcpStream::connect(from).unwrap();
+            let mut near = TcpStream::connect(relay.addresses()[0]).unwrap();
             let (mut far, _) = listener.accept().unwrap();
             let sender = spawn(move || near.write_all(&[1; 250_000]).map(|()| near));
             spawn(move || (far.read_exact(&mut [0; 250_000]), sender.join()))
