@@ -7,7 +7,7 @@ use std::collections::BTreeMap;
 
 use realo_schemas::report::SensorClock;
 use realo_schemas::{Name, Nanos, SAME_STAMP, to_millis};
-use realo_time_offset::{Epoch, Handling, StampFault, StampWatch};
+use realo_time_offset::{Epoch, Handling, Sensor, StampFault, StampWatch};
 
 use crate::words::seconds;
 use crate::{Log, LogError, Standing, Step, Stream};
@@ -169,17 +169,17 @@ impl Log {
 /// What the stamps of a stream say of its clock.
 fn clock(agent: &Name, stream: Stream, messages: u64, watch: &StampWatch) -> SensorClock {
     let sensor = match stream {
-        Stream::Imu => "imu",
-        Stream::Fix => "gnss",
-        Stream::Wheels => "wheels",
-        Stream::Pose | Stream::PoseTruth => "poses",
-        _ => "lidar",
+        Stream::Imu => Sensor::Imu,
+        Stream::Fix => Sensor::Gnss,
+        Stream::Wheels => Sensor::Wheels,
+        Stream::Pose | Stream::PoseTruth => Sensor::Poses,
+        _ => Sensor::Lidar,
     };
     let step = watch.last_step();
     let faults = watch.faults();
     SensorClock {
         agent: agent.to_string(),
-        sensor: sensor.into(),
+        sensor: sensor.name().into(),
         messages,
         offset_ms: Some(to_millis(watch.shift())),
         counts: watch.epoch().and_then(Epoch::name).map(String::from),

@@ -7,7 +7,7 @@ use realo_schemas::{Box3, Boxes, Payload};
 
 use crate::clock::ahead_s;
 use crate::fit::{Fit, Noise, Scene};
-use crate::objects::{Object, objects};
+use crate::objects::{Object, objects, surest};
 use crate::record::Record;
 use crate::search::{Found, Reach, search};
 use crate::shift::{Shift, variance_at};
@@ -171,10 +171,11 @@ pub enum Known {
 
 /// The best place of their objects, and whether enough speaks for it.
 fn place(theirs: &[Object], ego: &Ego, origin: &Origin, limits: &Limits) -> Result<(Found, bool), AssignmentError> {
-    let (own, theirs) = (
-        surest(ego.objects, limits.max_objects),
-        surest(theirs, limits.max_objects),
-    );
+    let best = |objects: &[Object]| -> Vec<Object> {
+        let surest = surest(objects, limits.max_objects).into_iter();
+        surest.map(|index| objects[index].clone()).collect()
+    };
+    let (own, theirs) = (best(ego.objects), best(theirs));
     let scene = Scene::new(&own, &theirs);
     let penalty = |shift: &Shift| {
         let free = |object: &&Object| {
@@ -185,19 +186,12 @@ fn place(theirs: &[Object], ego: &Ego, origin: &Origin, limits: &Limits) -> Resu
         AGAINST * against + AGAINST_METRE * shift.metres() + AGAINST_RADIAN * shift.turn.abs()
     };
     let found = search(&scene, origin.sender, &limits.reach, &limits.noise, penalty)?;
-    let middle =
-        scene.theirs.iter().map(|object| object.center).sum::<Vector2<f64>>() / scene.theirs.len().max(1) as f64;
+    let middle = scene.middle().unwrap_or_default();
     let moved = (found.fit.shift.place(&middle) - middle).norm();
     let size = usize::from(moved > SMALL_M);
     let better = found.fit.support - penalty(&found.fit.shift) - found.runner_up;
     let is_found = found.fit.pairs.len() >= PAIRS[size] && found.fit.support >= SUPPORT[size] && better >= CLEAR[size];
     Ok((found, is_found))
-}
-
-fn surest(objects: &[Object], max: usize) -> Vec<Object> {
-    let mut order: Vec<&Object> = objects.iter().collect();
-    order.sort_by(|a, b| b.score.total_cmp(&a.score));
-    order.into_iter().take(max).cloned().collect()
 }
 
 /// What the ego knows of each of their objects.

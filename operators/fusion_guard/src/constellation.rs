@@ -5,7 +5,7 @@ use realo_assignment::AssignmentError;
 use realo_schemas::geometry::normalize_yaw;
 
 use crate::fit::{Fit, Noise, Scene, fit};
-use crate::objects::Object;
+use crate::objects::{Object, surest};
 use crate::shift::{Shift, half_turn, turned};
 
 /// Objects of each side that are compared, the surest.
@@ -72,16 +72,8 @@ pub fn lay_over(ego: &[Object], theirs: &[Object], noise: &Noise) -> Result<Opti
     Ok((fit.pairs.len() >= PAIRS && support > CLEAR * other).then_some(fit))
 }
 
-/// The surest objects, in their order.
-fn surest(objects: &[Object]) -> Vec<usize> {
-    let mut order: Vec<usize> = (0..objects.len()).collect();
-    order.sort_by(|a, b| objects[*b].score.total_cmp(&objects[*a].score).then(a.cmp(b)));
-    order.truncate(OBJECTS);
-    order
-}
-
 fn edges(objects: &[Object], both_ways: bool) -> Vec<Edge> {
-    let surest = surest(objects);
+    let surest = surest(objects, OBJECTS);
     let mut edges = Vec::new();
     for (place, from) in surest.iter().enumerate() {
         for (other, to) in surest.iter().enumerate() {

@@ -58,6 +58,12 @@ impl<'a> Scene<'a> {
         (self.ego[own].score * self.theirs[other].score).max(0.0).sqrt()
     }
 
+    /// The mean of their places, m; `None` without any.
+    pub fn middle(&self) -> Option<Vector2<f64>> {
+        let sum: Vector2<f64> = self.theirs.iter().map(|object| object.center).sum();
+        (!self.theirs.is_empty()).then(|| sum / self.theirs.len() as f64)
+    }
+
     /// Their places after a motion.
     pub fn placed(&self, shift: &Shift) -> Vec<Vector2<f64>> {
         let place = shift.mover();

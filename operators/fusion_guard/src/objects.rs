@@ -68,6 +68,14 @@ pub fn objects(boxes: &[Box3], ego_from_frame: &Isometry3<f64>, seconds: f64, ma
     sound.into_iter().map(object).collect()
 }
 
+/// The places of the `max` surest objects, surest first; of equal ones the first.
+pub(crate) fn surest(objects: &[Object], max: usize) -> Vec<usize> {
+    let mut order: Vec<usize> = (0..objects.len()).collect();
+    order.sort_by(|a, b| objects[*b].score.total_cmp(&objects[*a].score));
+    order.truncate(max);
+    order
+}
+
 #[cfg(test)]
 pub(crate) mod tests {
     use super::*;

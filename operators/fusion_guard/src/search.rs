@@ -57,7 +57,7 @@ pub fn search(
     let mut refined: Vec<(f64, Shift)> = refined.filter(|(_, shift)| is_in_reach(shift)).collect();
     refined.sort_by(|a, b| b.0.total_cmp(&a.0));
     let best = refined.first().map_or(Shift::none(pivot), |(_, shift)| *shift);
-    let middle = middle(scene).unwrap_or(pivot);
+    let middle = scene.middle().unwrap_or(pivot);
     let elsewhere = |shift: &Shift| (shift.place(&middle) - best.place(&middle)).norm() > SAME_M;
     let runner_up = refined
         .iter()
@@ -67,12 +67,6 @@ pub fn search(
         fit: fit(scene, &best, noise)?,
         runner_up: runner_up.max(0.0),
     })
-}
-
-/// The mean of their objects.
-fn middle(scene: &Scene) -> Option<Vector2<f64>> {
-    let sum: Vector2<f64> = scene.theirs.iter().map(|object| object.center).sum();
-    (!scene.theirs.is_empty()).then(|| sum / scene.theirs.len() as f64)
 }
 
 /// The motions with most votes, best first.

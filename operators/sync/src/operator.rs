@@ -2,11 +2,11 @@ use std::collections::BTreeMap;
 
 use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings};
 use realo_schemas::{AgentState, Header, Kind, Motion, Name, Nanos, PointCloud, Pose};
-use realo_time_offset::{StampFault, StampRule};
+use realo_time_offset::{Sensor, StampFault, StampRule};
 use serde::{Deserialize, Serialize};
 
 use crate::agent_track::Unposed;
-use crate::clocks::{AgentClocks, ClockRules, Sensor, fault_words};
+use crate::clocks::{AgentClocks, ClockRules, fault_words};
 use crate::{AgentTrack, Cleaned, OwnBody, Pairing, clean};
 
 const NANOS_PER_MILLI: Nanos = 1_000_000;
@@ -185,17 +185,13 @@ impl Sync {
         let watched = self.clocks(agent).take(sensor, stamp, lasts, arrival);
         let is = |wrong: bool| u64::from(wrong);
         let words = || fault_words(sensor, &watched, stamp, arrival);
-        for (counter, wrong) in [
-            (&CLOCK_STEPS, watched.fault == Some(StampFault::Jump)),
-            (&STAMPS_REBASED, watched.stamp.is_some_and(|right| right != stamp)),
-            (&STAMPS_LEFT_OUT, watched.stamp.is_none()),
+        // Steps are no share of the messages.
+        for (counter, wrong, of) in [
+            (&CLOCK_STEPS, watched.fault == Some(StampFault::Jump), 0),
+            (&STAMPS_REBASED, watched.stamp.is_some_and(|right| right != stamp), 1),
+            (&STAMPS_LEFT_OUT, watched.stamp.is_none(), 1),
         ] {
-            out.count_of(
-                counter,
-                agent,
-                is(wrong),
-                if counter.name == CLOCK_STEPS.name { 0 } else { 1 },
-            );
+            out.count_of(counter, agent, is(wrong), of);
             if wrong {
                 out.found(counter, agent, words);
             }

@@ -2,6 +2,34 @@ use realo_schemas::Nanos;
 
 use crate::{ArrivalOffset, Epoch, Handling, Offset, StampFaults, StampWatch, Watched};
 
+/// A sensor whose messages have stamps of its own.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
+pub enum Sensor {
+    /// LiDAR: sweeps.
+    Lidar,
+    /// Whatever gives the agent's poses.
+    Poses,
+    /// Inertial unit.
+    Imu,
+    /// Satellite receiver.
+    Gnss,
+    /// Speed of the wheels.
+    Wheels,
+}
+
+impl Sensor {
+    /// Its name in results.
+    pub fn name(self) -> &'static str {
+        match self {
+            Sensor::Lidar => "lidar",
+            Sensor::Poses => "poses",
+            Sensor::Imu => "imu",
+            Sensor::Gnss => "gnss",
+            Sensor::Wheels => "wheels",
+        }
+    }
+}
+
 /// The clock of one sensor: its stamps are watched, and its offset estimated.
 #[derive(Clone, Debug)]
 pub struct SensorClock {

@@ -86,8 +86,8 @@ impl NoMotionOffset {
 /// The offset of an IMU's clock from a scanner's: what is to be added to a stamp of the IMU to have the scanner's time.
 ///
 /// Headings are fitted by the integrated yaw rate, shifted in time; each piece of at most 5 s has a constant of its own, and all
-/// have one bias of the gyro. The bound is three standard deviations by the residuals, or by how far pieces differ from each other, whichever is wider: the
-/// noise of a gyro adds up within a piece.
+/// have one bias of the gyro. The bound is three standard deviations by the residuals, or by how far pieces differ from each
+/// other, whichever is wider: the noise of a gyro adds up within a piece.
 ///
 /// # Errors
 /// [`NoMotionOffset`] where the motion does not show it.

@@ -3,9 +3,9 @@
 //! A gradient leads to the right place from within a voxel or two only, and a sweep has places where it fits half: so starts on a
 //! grid are compared first, several go on, and how much of what stands upright fits in the end decides.
 
-use nalgebra::{Isometry3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Vector3};
 
-use super::{Progress, Registrar, Stage};
+use super::{Progress, Registrar, Stage, stepped};
 use crate::gather::{CHUNK, Kernel, Placed, fitness};
 use crate::map::VoxelMap;
 use crate::rows::Sums;
@@ -135,11 +135,6 @@ fn far_apart(mut all: Vec<Start>) -> Vec<Isometry3<f64>> {
 
 /// A pose that is shifted along its own x and y, and turned about the vertical.
 fn moved(pose: &Isometry3<f64>, [x, y]: [f64; 2], turn: f64) -> Isometry3<f64> {
-    let (sin, cos) = libm::sincos(0.5 * turn);
-    let turn = UnitQuaternion::new_normalize(nalgebra::Quaternion::new(cos, 0.0, 0.0, sin));
-    let place = pose.translation.vector + pose.rotation * Vector3::new(x, y, 0.0);
-    Isometry3::from_parts(
-        place.into(),
-        UnitQuaternion::new_normalize((turn * pose.rotation).into_inner()),
-    )
+    let shift = pose.rotation * Vector3::new(x, y, 0.0);
+    stepped(pose, &[shift.x, shift.y, shift.z, 0.0, 0.0, turn])
 }

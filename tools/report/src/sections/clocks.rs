@@ -22,31 +22,28 @@ pub(super) fn has_clocks(runs: &[&Run], full: bool) -> bool {
 pub(super) fn clocks(rows: &mut Rows, full: bool) {
     let all: BTreeSet<(String, String)> = rows.runs.iter().flat_map(|run| labels(run, full)).collect();
     for (agent, sensor) in all {
-        rows.add(format!("{agent} {sensor}").trim_end(), |run| match sensor.is_empty() {
-            true => apart(run, &agent),
-            false => {
-                let mut clocks = run.result.clocks.iter();
-                clocks
-                    .find(|clock| clock.agent == agent && clock.sensor == sensor)
-                    .map(words)
-            }
-        });
+        rows.add(format!("{agent} {sensor}").trim_end(), |run| cell(run, &agent, &sensor));
     }
 }
 
 /// The same as a sentence; empty where all clocks are right.
 pub fn said(run: &Run) -> String {
     let said = labels(run, false).into_iter().filter_map(|(agent, sensor)| {
-        let mut clocks = run.result.clocks.iter();
-        let words = match sensor.is_empty() {
-            true => apart(run, &agent),
-            false => clocks
-                .find(|clock| clock.agent == agent && clock.sensor == sensor)
-                .map(words),
-        };
-        Some(format!("{agent} {sensor}").trim_end().to_string() + ": " + &words?)
+        let words = cell(run, &agent, &sensor)?;
+        Some(format!("{agent} {sensor}").trim_end().to_string() + ": " + &words)
     });
     said.collect::<Vec<_>>().join("; ")
+}
+
+/// What a run says of a sensor's clock, or without a sensor of an agent's.
+fn cell(run: &Run, agent: &str, sensor: &str) -> Option<String> {
+    let mut clocks = run.result.clocks.iter();
+    match sensor.is_empty() {
+        true => apart(run, agent),
+        false => clocks
+            .find(|clock| clock.agent == agent && clock.sensor == sensor)
+            .map(words),
+    }
 }
 
 /// Agent and sensor of each row of a run; no sensor where a whole agent is meant.
