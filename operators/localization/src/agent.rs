@@ -10,23 +10,18 @@ use realo_state_estimation as estimation;
 use realo_state_estimation::{
     Estimate, Estimator, HoldEstimator, HoldSettings, Mounting, Sample, ScanPose, Status, Unit, UnitNoise,
 };
+use realo_time_offset::Middles;
 
 use crate::deskew::deskewed;
 use crate::faults::{Reported, SCAN_FEW_POINTS, SCAN_OFF_MAP, SCAN_UNFIT, SCANS, SEARCHES, Taken};
-use crate::place::{Found, Guess, Place, level};
+use crate::place::{Found, FoundPose, Guess, Place, level};
 
-/// Samples of an IMU are this far apart until it is known, and at most so far, ns.
-const IMU_PERIOD: Nanos = 10_000_000;
-const LONGEST_IMU_PERIOD: Nanos = 50_000_000;
 /// From one search in all directions to the next, ns: it takes long.
 const SEARCH_PERIOD: Nanos = 1_000_000_000;
 /// From one look at a unit that is held to the next, ns.
 const WATCH_PERIOD: Nanos = 1_000_000_000;
-/// Standard deviations of what the map and all sweeps of a place have in common, which does not average: east and north, up, m, and
-/// of the heading, rad. On the drive of another day that the guide makes, places were off by 0.06 m and headings by 0.02° in the mean.
-const MAP_ERRORS: [f64; 3] = [0.05, 0.1, 1.2e-3];
 /// What is added to the covariance of each sweep's pose: standard deviations of position, m, and turn, rad.
-const SWEEP_ERRORS: [f64; 2] = [0.05, 1.7e-3];
+const SWEEP_ERRORS: [f64; 2] = [0.02, 8e-4];
 /// Standard deviation of a position that nobody knows, m, and of turns, rad.
 const ANYWHERE: [f64; 2] = [1e5, 1.8];
 
@@ -56,13 +51,13 @@ pub(crate) struct Agent {
     has_motion: bool,
     antenna: Vector3<f64>,
     axle: Vector3<f64>,
-    /// Stamp of the last IMU sample, and from the one before to it, ns.
-    last_imu: Option<Nanos>,
-    imu_period: Nanos,
+    imu: Middles,
     /// When a sweep was looked for in all directions, or a held unit was looked at.
     looked: Option<Nanos>,
     /// The last pose of a roadside unit that is being localised.
     tried: Option<Isometry3<f64>>,
+    /// How much of the last sweep that was found fits the map.
+    share: f64,
     taken: Taken,
     reported: Reported,
 }
@@ -76,10 +71,10 @@ impl Agent {
             has_motion: false,
             antenna: Vector3::zeros(),
             axle: Vector3::zeros(),
-            last_imu: None,
-            imu_period: IMU_PERIOD,
+            imu: Middles::default(),
             looked: None,
             tried: None,
+            share: 1.0,
             taken: Taken::default(),
             reported: Reported::default(),
         }
@@ -182,14 +177,8 @@ impl Agent {
         let at = |taken: &Times| taken.stamp_in(header);
         let mut samples: Vec<Sample> = Vec::new();
         for sample in &motion.imu {
-            let stamp = at(&sample.taken);
-            if let Some(last) = self.last_imu
-                && (1..=LONGEST_IMU_PERIOD).contains(&stamp.saturating_sub(last))
-            {
-                self.imu_period = stamp - last;
-            }
-            self.last_imu = Some(stamp);
-            samples.push(Sample::Imu(imu(sample, stamp.saturating_sub(self.imu_period / 2))));
+            let middle = self.imu.of(at(&sample.taken));
+            samples.push(Sample::Imu(imu(sample, middle)));
         }
         samples.extend(motion.fixes.iter().map(|fix| Sample::Fix(map_fix(fix, at(&fix.taken)))));
         samples.extend(motion.wheels.iter().map(|wheel| {
@@ -209,20 +198,18 @@ impl Agent {
         place: Option<&mut Place>,
         out: &mut Outputs<O>,
     ) -> AgentState {
-        let has_map = place.is_some();
+        let mut errors = [0.0; 3];
         if let Some(place) = place {
             self.look(header, cloud, place, out);
             self.report(&header.agent, out);
+            errors = place.errors(self.share);
         }
         let Some(mut estimate) = self.estimate_at(header.stamp) else {
             return nowhere(self.status());
         };
-        // A unit that is held has them already.
-        if has_map && matches!(self.filter, Some(Filter::Vehicle(_))) {
-            let [place, height, turn] = MAP_ERRORS.map(|sigma| sigma * sigma);
-            for (axis, variance) in [(0, place), (1, place), (2, height), (5, turn)] {
-                estimate.covariance[(axis, axis)] += variance;
-            }
+        let [place, height, turn] = errors.map(|sigma| sigma * sigma);
+        for (axis, variance) in [(0, place), (1, place), (2, height), (5, turn)] {
+            estimate.covariance[(axis, axis)] += variance;
         }
         state_of(&estimate)
     }
@@ -264,10 +251,14 @@ impl Agent {
             self.tried = None;
             return;
         };
-        let (map_from_body, information) = *found;
+        let FoundPose {
+            map_from_body,
+            information,
+            share,
+        } = *found;
         out.count(&SCANS, agent, 1);
         self.taken.scans += 1;
-        self.tried = Some(map_from_body);
+        (self.tried, self.share) = (Some(map_from_body), share);
         let scan = Sample::Scan(Box::new(ScanPose {
             stamp,
             map_from_body,

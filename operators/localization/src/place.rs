@@ -20,6 +20,20 @@ const DISTINCT: f64 = 0.08;
 const ONE_HEADING: f64 = 0.35;
 /// A guess that is known to so much is tracked, m and rad; of any other a wider neighbourhood is searched.
 const TRACKED: [f64; 2] = [0.6, 0.035];
+/// A pose whose last step was longer is still on its way, m and rad. Steps need not become as short as the registrar would have them:
+/// points that change voxels move a pose to and fro by some millimetres.
+const SETTLED: [f64; 2] = [0.02, 1e-3];
+/// Where a map ends, this part of the share is enough, if of the points in its voxels so many are near its surfaces.
+const PART: f64 = 0.5;
+const MET_SHARE: f64 = 0.8;
+/// Standard deviations of places on a map of exact poses, if all of a sweep fits: on the ground along each axis, up, m, and of the heading,
+/// rad. Measured on drives of another day than the map's. They go by the inverse square of the share that fits: with a half of
+/// it they are four times as large.
+const MATCHING: [f64; 3] = [0.005, 0.004, 4e-5];
+/// They do not become larger below this share.
+const LEAST_SHARE: f64 = 0.2;
+/// What tells a place is so far away, m.
+const FAR: f64 = 20.0;
 /// Side of the cells in which the ground's height is known, m.
 const GROUND_CELL: f64 = 4.0;
 /// A place is on the map if the map has ground so many cells around it.
@@ -48,6 +62,8 @@ pub(crate) struct Place {
     /// Height of the lowest voxel, m.
     ground: BTreeMap<[i32; 2], f64>,
     min_share: f64,
+    /// See [`Place::errors`].
+    errors: [f64; 3],
 }
 
 /// What is known of a pose before the sweep is looked at.
@@ -65,14 +81,43 @@ pub(crate) struct Guess {
 /// What came of looking for a sweep.
 #[derive(Clone, Debug)]
 pub(crate) enum Found {
-    /// Its pose, and the pose's information, see [`realo_state_estimation::ScanPose`].
-    Pose(Box<(Isometry3<f64>, Matrix6<f64>)>),
+    /// Its pose.
+    Pose(Box<FoundPose>),
     /// The map is not like the sweep there.
     Unfit,
     /// It has too few points.
     FewPoints,
     /// The map does not reach there.
     OffMap,
+}
+
+/// A sweep's pose.
+#[derive(Clone, Debug)]
+pub(crate) struct FoundPose {
+    pub map_from_body: Isometry3<f64>,
+    /// See [`realo_state_estimation::ScanPose`].
+    pub information: Matrix6<f64>,
+    /// Share of what is off the ground that fits.
+    pub share: f64,
+}
+
+impl Found {
+    fn of(alignment: Alignment) -> Self {
+        Found::Pose(Box::new(FoundPose {
+            map_from_body: alignment.map_from_body,
+            information: alignment.information,
+            share: alignment.structure_share,
+        }))
+    }
+}
+
+impl From<AlignError> for Found {
+    fn from(error: AlignError) -> Self {
+        match error {
+            AlignError::FewPoints { .. } => Found::FewPoints,
+            AlignError::Guess(_) | AlignError::OffMap { .. } => Found::OffMap,
+        }
+    }
 }
 
 impl Place {
@@ -96,14 +141,24 @@ impl Place {
             max_iterations: 10,
             ..RegistrarSettings::default()
         };
+        let errors = errors(&map.info().pose_sigmas);
         let place = Place {
             map,
             registrar: Registrar::new(RegistrarSettings::default())?,
             scout: Registrar::new(scout)?,
             ground,
             min_share,
+            errors,
         };
         Ok((!place.ground.is_empty()).then_some(place))
+    }
+
+    /// Standard deviations of what all sweeps of a place have in common, so that it does not average: on the ground along each axis, up,
+    /// m, and of the heading, rad. `share`: how much of a sweep fits.
+    pub fn errors(&self, share: f64) -> [f64; 3] {
+        let share = share.clamp(LEAST_SHARE, 1.0);
+        let own = MATCHING.map(|sigma| sigma / (share * share));
+        std::array::from_fn(|i| libm::hypot(own[i], self.errors[i]))
     }
 
     /// The height of the ground at a place of the map, m; `None` where the map does not reach.
@@ -126,37 +181,44 @@ impl Place {
             position.z = ground;
         }
         let Some(yaw) = guess.yaw else {
-            let best = self.in_all_directions(cloud, &position);
-            return self.found(best);
+            return match self.in_all_directions(cloud, &position) {
+                Ok(Some(best)) if self.fits(&best) => Found::of(best),
+                Ok(_) => Found::Unfit,
+                Err(error) => error.into(),
+            };
         };
         let start = level(&position, yaw);
         let [place, turn] = guess.sigmas;
         let is_known = place <= TRACKED[0] && turn <= TRACKED[1];
         if is_known {
-            let tracked = self.registrar.align(&self.map, cloud, &start, Search::Track);
-            if tracked.as_ref().map_or(true, |found| self.fits(found)) {
-                return self.found(tracked);
+            match self.registrar.align(&self.map, cloud, &start, Search::Track) {
+                Ok(found) if self.fits(&found) || self.fits_in_part(&found) => return Found::of(found),
+                Ok(_) => {}
+                Err(error) => return error.into(),
             }
         }
-        let wide = self.registrar.align(&self.map, cloud, &start, Search::Wide);
-        self.found(wide)
+        match self.registrar.align(&self.map, cloud, &start, Search::Wide) {
+            Ok(found) if self.fits(&found) => Found::of(found),
+            Ok(_) => Found::Unfit,
+            Err(error) => error.into(),
+        }
     }
 
     fn fits(&self, alignment: &Alignment) -> bool {
-        alignment.converged && alignment.structure_share >= self.min_share
+        is_settled(alignment) && alignment.structure_share >= self.min_share
     }
 
-    fn found(&self, alignment: Result<Alignment, AlignError>) -> Found {
-        match alignment {
-            Ok(found) if self.fits(&found) => Found::Pose(Box::new((found.map_from_body, found.information))),
-            Ok(_) => Found::Unfit,
-            Err(AlignError::FewPoints { .. }) => Found::FewPoints,
-            Err(AlignError::Guess(_) | AlignError::OffMap { .. }) => Found::OffMap,
-        }
+    /// Whether a sweep that is known to be near fits what there is of the map: at its ends, and in its gaps.
+    fn fits_in_part(&self, alignment: &Alignment) -> bool {
+        is_settled(alignment) && alignment.structure_share >= PART * self.min_share && alignment.met_share >= MET_SHARE
     }
 
-    /// The pose that fits best of all headings around a place; one that another heading nearly reaches does not fit.
-    fn in_all_directions(&mut self, cloud: &PointCloud, position: &Vector3<f64>) -> Result<Alignment, AlignError> {
+    /// The pose that fits best of all headings around a place; `None` where another heading nearly fits as well.
+    fn in_all_directions(
+        &mut self,
+        cloud: &PointCloud,
+        position: &Vector3<f64>,
+    ) -> Result<Option<Alignment>, AlignError> {
         let mut ranked = Vec::new();
         for step in 0..HEADINGS {
             let yaw = std::f64::consts::TAU * f64::from(step) / f64::from(HEADINGS);
@@ -180,11 +242,19 @@ impl Place {
         let others = ranked.iter().chain(&close).filter(is_other);
         let next = others.map(|found| found.structure_share).fold(0.0, f64::max);
         let is_distinct = best.structure_share >= next + DISTINCT;
-        Ok(Alignment {
-            converged: best.converged && is_distinct,
-            ..best
-        })
+        Ok(is_distinct.then_some(best))
     }
+}
+
+/// What a map's poses make of the places that are found on it, as [`Place::errors`]: a heading moves what is far away, too.
+fn errors([ground, up, heading]: &[f64; 3]) -> [f64; 3] {
+    [libm::hypot(*ground, FAR * heading), *up, *heading]
+}
+
+/// Whether a pose is where its steps lead.
+fn is_settled(alignment: &Alignment) -> bool {
+    let [shift, turn] = alignment.last_step;
+    shift <= SETTLED[0] && turn <= SETTLED[1]
 }
 
 /// The cell of a place on the ground.
@@ -195,7 +265,6 @@ fn cell(position: &Vector3<f64>) -> [i32; 2] {
 
 /// A level pose.
 pub(crate) fn level(position: &Vector3<f64>, yaw: f64) -> Isometry3<f64> {
-    let (sin, cos) = libm::sincos(0.5 * yaw);
-    let turn = UnitQuaternion::new_normalize(nalgebra::Quaternion::new(cos, 0.0, 0.0, sin));
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
     Isometry3::from_parts(Translation3::from(*position), turn)
 }

@@ -114,6 +114,7 @@ fn map(street: &[Point3<f64>], path: &std::path::Path, shift: f64) {
                 cloud: &cloud,
                 map_from_body: &placed,
                 sensor: [0.0, 0.0, 1.9],
+                sigmas: [0.0; 3],
             })
             .unwrap();
     }

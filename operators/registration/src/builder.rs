@@ -101,6 +101,8 @@ pub struct PosedSweep<'a> {
     pub map_from_body: &'a Isometry3<f64>,
     /// Where the LiDAR is in the body frame, m.
     pub sensor: [f64; 3],
+    /// Standard deviations of the pose: on the ground along each axis, up, m, and of the heading, rad. 0 for an exact one.
+    pub sigmas: [f64; 3],
 }
 
 /// What is known of a cell so far.
@@ -131,6 +133,8 @@ pub struct MapBuilder {
     /// Stamps of each agent's last picture, by day: what runs backwards is another drive.
     last_views: BTreeMap<String, Nanos>,
     sweeps: u64,
+    /// Sums over sweeps of the squares of their poses' standard deviations.
+    squares: [f64; 3],
     span: [Nanos; 2],
 }
 
@@ -150,6 +154,7 @@ impl MapBuilder {
             views: Vec::new(),
             last_views: BTreeMap::new(),
             sweeps: 0,
+            squares: [0.0; 3],
             span: [Nanos::MAX, Nanos::MIN],
         })
     }
@@ -189,6 +194,9 @@ impl MapBuilder {
         self.origin = Some(origin);
         self.span = [self.span[0].min(sweep.stamp), self.span[1].max(sweep.stamp)];
         self.sweeps += 1;
+        for (sum, sigma) in self.squares.iter_mut().zip(sweep.sigmas) {
+            *sum += sigma * sigma;
+        }
         self.add_points(sweep, &origin);
         Ok(())
     }
@@ -292,6 +300,7 @@ impl MapBuilder {
             voxel_m: settings.voxel_m,
             thickness_m: settings.thickness_m,
             origin,
+            pose_sigmas: self.squares.map(|sum| (sum / self.sweeps.max(1) as f64).sqrt()),
             sweeps: self.sweeps,
             span: self.span,
             left_out: (order.len() - records.len()) as u64,

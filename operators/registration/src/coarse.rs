@@ -61,6 +61,7 @@ mod tests {
             voxel_m: 1.0,
             thickness_m: 0.05,
             origin: Point3::new(100.0, 200.0, 300.0),
+            pose_sigmas: [0.0; 3],
             sweeps: 1,
             span: [0; 2],
             left_out: 0,

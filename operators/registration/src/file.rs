@@ -9,10 +9,11 @@
 //! | 24–31 | side of a voxel, f64, m |
 //! | 32–39 | thickness, f64, m |
 //! | 40–63 | origin: x, y, z, f64, m |
-//! | 64–71 | sweeps that it was built from, u64 |
-//! | 72–87 | stamps of the first and the last of them, i64, ns |
-//! | 88–95 | cells left out, u64 |
-//! | 96– | voxels of 32 bytes each, their keys rising |
+//! | 64–87 | standard deviations of the poses: on the ground, up, m, of the heading, rad, f64 |
+//! | 88–95 | sweeps that it was built from, u64 |
+//! | 96–111 | stamps of the first and the last of them, i64, ns |
+//! | 112–119 | cells left out, u64 |
+//! | 120– | voxels of 32 bytes each, their keys rising |
 //! | … | the frame's name, UTF-8 |
 //! | last 4 | CRC-32 of all before |
 
@@ -30,8 +31,8 @@ use crate::voxel::{BYTES, Record};
 /// What a map file begins with.
 pub const MAGIC: &[u8; 8] = b"REALOMAP";
 /// Version of the layout.
-const VERSION: u32 = 1;
-const HEAD: usize = 96;
+const VERSION: u32 = 2;
+const HEAD: usize = 120;
 const CHECKSUM: usize = 4;
 const MAX_NAME: usize = 255;
 
@@ -68,7 +69,8 @@ fn encode(info: &MapInfo, records: &[[u8; BYTES]]) -> Vec<u8> {
         info.origin.y,
         info.origin.z,
     ];
-    bytes.extend(numbers.into_iter().flat_map(f64::to_le_bytes));
+    let numbers = numbers.into_iter().chain(info.pose_sigmas);
+    bytes.extend(numbers.flat_map(f64::to_le_bytes));
     bytes.extend(info.sweeps.to_le_bytes());
     bytes.extend(info.span.into_iter().flat_map(i64::to_le_bytes));
     bytes.extend(info.left_out.to_le_bytes());
@@ -165,11 +167,18 @@ fn info(mut head: Head, name: &[u8]) -> Result<MapInfo, Flaw> {
     let place = "a finite number within ±1e8";
     let mut axis = |name| head.number(name, place, [-MAX_PLACE_M, MAX_PLACE_M]);
     let origin = Point3::new(axis("origin.x")?, axis("origin.y")?, axis("origin.z")?);
+    let mut sigma = |name| head.number(name, "0 to 1e6", [0.0, 1e6]);
+    let pose_sigmas = [
+        sigma("pose_sigmas, on the ground")?,
+        sigma("pose_sigmas, up")?,
+        sigma("pose_sigmas, heading")?,
+    ];
     Ok(MapInfo {
         frame,
         voxel_m,
         thickness_m,
         origin,
+        pose_sigmas,
         sweeps: u64::from_le_bytes(head.take()),
         span: [i64::from_le_bytes(head.take()), i64::from_le_bytes(head.take())],
         left_out: u64::from_le_bytes(head.take()),
@@ -189,10 +198,10 @@ fn check_records(records: &[[u8; BYTES]]) -> Result<(), Flaw> {
                 found: found(),
             });
         }
-        if record.axis() > 2 || record.points() == 0 {
+        if record.axis() > 2 || record.points() == 0 || !record.is_sound_normal() {
             return Err(Flaw::Field {
                 field: "voxel",
-                expected: "a point or more, and an axis of 0 to 2",
+                expected: "a point or more, an axis of 0 to 2, and a normal of length 1 along it",
                 found: format!(
                     "{} points, axis {}, in cell {}",
                     record.points(),
@@ -291,6 +300,7 @@ mod tests {
             voxel_m: 1.0,
             thickness_m: 0.05,
             origin: Point3::new(4e5, -5e6, 12.0),
+            pose_sigmas: [0.02, 0.03, 1e-3],
             sweeps: 30,
             span: [1, 3_000_000_000],
             left_out: 4,
@@ -336,7 +346,7 @@ mod tests {
                 let flaw = VoxelMap::from_bytes(bytes).expect_err("a changed byte");
                 let fits = match at {
                     0..8 => flaw == Flaw::Foreign,
-                    8..12 => matches!(flaw, Flaw::Version { expected: 1, .. }),
+                    8..12 => matches!(flaw, Flaw::Version { expected: VERSION, .. }),
                     12..24 => matches!(flaw, Flaw::Length { .. }),
                     _ => matches!(flaw, Flaw::Checksum { .. }),
                 };
@@ -370,8 +380,10 @@ mod tests {
             (first, &[0; 8], "`cell`"),
             (first + 14, &[1, 0x60], "axis 3"),
             (first + 14, &[0, 0], "0 points"),
+            (first + 16, &[0xff, 0x7f, 0xff, 0x7f], "normal"),
             (first + BYTES * 5, &[0xff], "`frame`: expected UTF-8"),
-            (64, &[7], "sound"),
+            (64, &f64::NAN.to_le_bytes(), "`pose_sigmas, on the ground`"),
+            (88, &[7], "sound"),
         ] {
             let found = of(at, new);
             assert!(found.contains(expected), "byte {at}: {found}");

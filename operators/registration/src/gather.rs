@@ -213,6 +213,7 @@ impl Matched {
         let weight = f64::from(root_weight * root_weight);
         sums.weight += weight;
         sums.square += weight * f64::from(square);
+        sums.met += 1;
         sums.lever += weight * f64::from(dot(self.point, self.point));
         if square < kernel.inlier * kernel.inlier {
             sums.inliers += 1;

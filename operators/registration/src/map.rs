@@ -22,6 +22,8 @@ pub struct MapInfo {
     pub thickness_m: f64,
     /// Lower corner of cell (0, 0, 0) in that frame, m.
     pub origin: Point3<f64>,
+    /// Standard deviations of the poses that placed its sweeps, in the mean: on the ground along each axis, up, m, and of the heading, rad.
+    pub pose_sigmas: [f64; 3],
     /// Sweeps that it was built from.
     pub sweeps: u64,
     /// Stamps of the first and the last of them, ns.

@@ -113,12 +113,16 @@ pub struct Alignment {
     pub inlier_share: f64,
     /// The same share among those that are not on horizontal planes, which are alike everywhere: the map of another place has a low one.
     pub structure_share: f64,
+    /// The same share among those in voxels of the map: it is high on a map that ends, or has gaps, and low on one of another place.
+    pub met_share: f64,
     /// Mean distance of inliers from their surfaces, m; 0 without any.
     pub mean_distance_m: f64,
     /// Steps that were made.
     pub iterations: u32,
     /// Whether the last step was short enough.
     pub converged: bool,
+    /// The shift of the last step, m, and its turn, rad.
+    pub last_step: [f64; 2],
 }
 
 impl Alignment {
@@ -156,6 +160,7 @@ struct Progress {
     pose: Isometry3<f64>,
     iterations: u32,
     converged: bool,
+    last_step: [f64; 2],
     /// Of the pose before the last step.
     sums: Sums,
 }
@@ -166,6 +171,7 @@ impl Progress {
             pose,
             iterations: 0,
             converged: false,
+            last_step: [f64::INFINITY; 2],
             sums: Sums::default(),
         }
     }
@@ -266,6 +272,7 @@ impl Registrar {
             let [stop_m, stop_deg] = stage.stop;
             // A kernel that still narrows moves the pose on.
             progress.converged = shift < stop_m && turn.to_degrees() < stop_deg && width <= last_width;
+            progress.last_step = [shift, turn];
             width *= stage.narrowing;
         }
     }
@@ -290,9 +297,14 @@ impl Registrar {
             points,
             inlier_share: share(inliers, points as f64),
             structure_share: share(inliers - f64::from(sums.on_ground), off_ground),
+            met_share: share(
+                inliers - f64::from(sums.on_ground),
+                f64::from(sums.met) - f64::from(sums.on_ground),
+            ),
             mean_distance_m: share(sums.distance, inliers),
             iterations: progress.iterations,
             converged: progress.converged,
+            last_step: progress.last_step,
         }
     }
 }

@@ -27,6 +27,8 @@ pub(crate) struct Sums {
     pub weight: f64,
     pub square: f64,
     pub lever: f64,
+    /// Points in voxels that the map has, or beside them.
+    pub met: u32,
     /// Points whose distance is within the kernel's width; those of them on horizontal planes; the sum of their distances, m.
     pub inliers: u32,
     pub on_ground: u32,
@@ -100,6 +102,7 @@ impl Sums {
         self.weight += other.weight;
         self.square += other.square;
         self.lever += other.lever;
+        self.met += other.met;
         self.inliers += other.inliers;
         self.on_ground += other.on_ground;
         self.distance += other.distance;

@@ -166,6 +166,12 @@ impl Record<'_> {
         self.0[15] >> 5 & 3
     }
 
+    /// Whether the parts of the normal across its axis are no larger than those of one that is longest along it.
+    pub fn is_sound_normal(self) -> bool {
+        let [a, b] = [16, 18].map(|at| self.signed(at));
+        a * a + b * b < 0.67
+    }
+
     /// Direction in which the points vary least.
     #[inline]
     pub fn normal(self) -> [f32; 3] {

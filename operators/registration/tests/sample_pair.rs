@@ -53,6 +53,7 @@ fn map_of(cloud: &PointCloud) -> VoxelMap {
         cloud,
         map_from_body: &Isometry3::identity(),
         sensor: [0.0; 3],
+        sigmas: [0.0; 3],
     };
     builder.add(&sweep).unwrap();
     builder.finish(|_, _| ()).unwrap()

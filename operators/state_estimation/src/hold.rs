@@ -16,7 +16,9 @@ const GATE: f64 = 22.458;
 /// How a roadside unit is localised.
 #[derive(Clone, Copy, Debug, PartialEq)]
 pub struct HoldSettings {
-    /// So many scans that agree with each other are averaged.
+    /// The pose is known once so many scans agree with each other.
+    pub first: u32,
+    /// It gets better until so many are averaged, and is held from then on.
     pub scans: u32,
     /// Scans that contradict the held pose for so long mean that the unit was moved, ns.
     pub moved: Nanos,
@@ -32,6 +34,7 @@ const SURVEYED_TURN: f64 = 1e-3;
 impl Default for HoldSettings {
     fn default() -> Self {
         HoldSettings {
+            first: 3,
             scans: 10,
             moved: from_seconds(5.0),
             surveyed: None,
@@ -40,7 +43,8 @@ impl Default for HoldSettings {
     }
 }
 
-/// Estimates the pose of a roadside unit: the mean of its first scans that agree, held from then on.
+/// Estimates the pose of a roadside unit: the mean of its first scans that agree, held from then on. Scans that disagree with them
+/// are left out, unless there are more of those.
 ///
 /// Scans are compared with GNSS where there is a fix. Later scans are compared with the held pose; when they contradict it for
 /// [`HoldSettings::moved`], the pose is given up and found anew. IMU and wheels say nothing here.
@@ -69,8 +73,38 @@ struct FixMean {
 struct ScanMean {
     first: LocalScan,
     count: u32,
+    /// Scans that disagree.
+    against: u32,
     sum: Vector6<f64>,
     covariance: Matrix6<f64>,
+}
+
+impl ScanMean {
+    fn of(first: &LocalScan) -> Self {
+        ScanMean {
+            first: first.clone(),
+            count: 1,
+            against: 0,
+            sum: Vector6::zeros(),
+            covariance: first.covariance,
+        }
+    }
+
+    /// Adds a scan if it agrees with the others.
+    fn add(&mut self, scan: &LocalScan) -> bool {
+        let way = difference(&self.first.map_from_body, &scan.map_from_body);
+        let count = f64::from(self.count);
+        let mean = self.sum / count;
+        let agreed = agrees(&(way - mean), &(self.covariance / count + scan.covariance));
+        if agreed {
+            self.count += 1;
+            self.sum += way;
+            self.covariance += scan.covariance;
+        } else {
+            self.against += 1;
+        }
+        agreed
+    }
 }
 
 impl HoldEstimator {
@@ -162,7 +196,8 @@ impl HoldEstimator {
     }
 
     fn take_scan(&mut self, stamp: Nanos, scan: &LocalScan) -> Result<(), Fault> {
-        if let Some((pose, covariance)) = &self.held {
+        let is_over = self.scans.as_ref().is_none_or(|mean| mean.count >= self.settings.scans);
+        if let Some((pose, covariance)) = self.held.as_ref().filter(|_| is_over) {
             if agrees(&difference(pose, &scan.map_from_body), &(covariance + scan.covariance)) {
                 self.contradicted = None;
                 return Ok(());
@@ -181,42 +216,30 @@ impl HoldEstimator {
         let antenna = scan.map_from_body * self.rules.body_from_imu * nalgebra::Point3::from(self.rules.antenna_in_imu);
         let last = self.fixes.last.filter(|_| self.fixes.count > 0.0);
         if last.is_some_and(|fix| !self.is_near(&antenna.coords, &fix)) {
-            self.scans = None;
             return Err(Fault::ScanGate);
         }
         self.gather(scan)
     }
 
     fn gather(&mut self, scan: &LocalScan) -> Result<(), Fault> {
-        let mut mean = self.scans.take().unwrap_or_else(|| ScanMean {
-            first: scan.clone(),
-            count: 0,
-            sum: Vector6::zeros(),
-            covariance: Matrix6::zeros(),
-        });
-        let way = difference(&mean.first.map_from_body, &scan.map_from_body);
-        let agreed = agrees(&way, &(mean.first.covariance + scan.covariance));
-        if !agreed {
-            mean = ScanMean {
-                first: scan.clone(),
-                count: 0,
-                sum: Vector6::zeros(),
-                covariance: Matrix6::zeros(),
-            };
-        } else {
-            mean.sum += way;
+        let agreed = match &mut self.scans {
+            Some(mean) => mean.add(scan),
+            None => {
+                self.scans = Some(ScanMean::of(scan));
+                true
+            }
+        };
+        if self.scans.as_ref().is_some_and(|mean| mean.against > mean.count) {
+            self.after_loss |= self.held.take().is_some();
+            self.scans = Some(ScanMean::of(scan));
         }
-        mean.count += 1;
-        mean.covariance += scan.covariance;
-        if mean.count >= self.settings.scans.max(1) {
-            self.held = Some(self.mean_of(&mean));
-        } else {
-            self.scans = Some(mean);
+        if let Some(mean) = self.scans.as_ref().filter(|mean| mean.count >= self.settings.first) {
+            self.held = Some(self.mean_of(mean));
         }
         if agreed { Ok(()) } else { Err(Fault::ScanGate) }
     }
 
-    /// Mean pose and its covariance: what scans have in common, as the map's errors, does not average.
+    /// Mean pose and its covariance; what all scans have in common, as the map's errors, is not in it.
     fn mean_of(&self, mean: &ScanMean) -> (Isometry3<f64>, Matrix6<f64>) {
         let count = f64::from(mean.count);
         let way = mean.sum / count;
@@ -224,13 +247,7 @@ impl HoldEstimator {
         let turn = UnitQuaternion::new_normalize(quaternion_of(&way.fixed_rows::<3>(3).into_owned()));
         let position = first.translation.vector + way.fixed_rows::<3>(0);
         let pose = Isometry3::from_parts(position.into(), turn * first.rotation);
-        let noise = &self.rules.scan;
-        let common = Matrix6::from_diagonal(&Vector6::from_fn(|axis, _| {
-            let sigma = if axis < 3 { noise.position_m } else { noise.turn_rad };
-            sigma * sigma
-        }));
-        let each = mean.covariance / count;
-        (pose, (each - common) / count + common)
+        (pose, mean.covariance / (count * count))
     }
 
     /// The pose, which does not depend on time; `None` before any position is known.

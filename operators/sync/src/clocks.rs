@@ -7,7 +7,8 @@ use realo_schemas::motion::Taken;
 use realo_schemas::report::{self, OffsetBy};
 use realo_schemas::{AgentState, Header, Motion, Nanos, to_millis};
 use realo_time_offset::{
-    Epoch, Handling, Heading, MotionLimits, Offset, SensorClock, StampFault, Watched, YawRate, motion_offset,
+    Epoch, Handling, Heading, Middles, MotionLimits, Offset, Sensor, SensorClock, StampFault, Watched, YawRate,
+    motion_offset,
 };
 
 /// Over which arrivals and motion are looked at, ns.
@@ -20,34 +21,6 @@ const HEADING_PERIOD: Nanos = 95_000_000;
 const GNSS_DELAY: [f64; 2] = [0.0, 300.0];
 const WHEELS_DELAY: [f64; 2] = [0.0, 50.0];
 const POSES_DELAY: [f64; 2] = [0.0, 200.0];
-
-/// A sensor whose messages have stamps of its own.
-#[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]
-pub enum Sensor {
-    /// LiDAR: sweeps.
-    Lidar,
-    /// Whatever gives the agent's poses.
-    Poses,
-    /// Inertial unit.
-    Imu,
-    /// Satellite receiver.
-    Gnss,
-    /// Speed of the wheels.
-    Wheels,
-}
-
-impl Sensor {
-    /// Its name in results.
-    pub fn name(self) -> &'static str {
-        match self {
-            Sensor::Lidar => "lidar",
-            Sensor::Poses => "poses",
-            Sensor::Imu => "imu",
-            Sensor::Gnss => "gnss",
-            Sensor::Wheels => "wheels",
-        }
-    }
-}
 
 /// How clocks are judged.
 #[derive(Clone, Copy, Debug)]
@@ -172,7 +145,12 @@ impl AgentClocks {
 
     /// What is to be added to stamps of the inertial unit to have those of the poses, where both saw the agent turn.
     fn imu_to_poses(&self) -> Option<Offset> {
-        let rates: Vec<YawRate> = self.rates.iter().copied().collect();
+        let mut middles = Middles::default();
+        let in_the_middle = |rate: &YawRate| YawRate {
+            stamp: middles.of(rate.stamp),
+            ..*rate
+        };
+        let rates: Vec<YawRate> = self.rates.iter().map(in_the_middle).collect();
         let headings: Vec<Heading> = self.headings.iter().copied().collect();
         motion_offset(&rates, &headings, &MotionLimits::default()).ok()
     }

@@ -82,6 +82,7 @@ fn sweep(seq: u64, [stamp, ready]: [Nanos; 2]) -> Message {
 /// A drive of some seconds with curves: its messages in order of arrival.
 fn drive(draws: &mut Draws, clocks: Clocks, seconds: usize) -> Vec<Message> {
     let (mut rate, mut aim, mut yaw, bias) = (0.0, 0.0, 1.0, 3e-3 * draws.normal());
+    let mut sampled = yaw;
     let mut messages = Vec::new();
     let mut imu = Vec::new();
     for step in 0..seconds * 1_000 {
@@ -94,10 +95,13 @@ fn drive(draws: &mut Draws, clocks: Clocks, seconds: usize) -> Vec<Message> {
         yaw += 0.5 * (last + rate) * 1e-3;
         if step % 10 == 0 {
             let arrival = now + from_seconds(1e-3 * (1.0 + 2.0 * draws.uniform()));
+            // The mean of the time since the sample before.
+            let mean = (yaw - sampled) / 1e-2;
+            sampled = yaw;
             imu.push((
                 clocks.stamp(clocks.imu, now),
                 arrival,
-                rate + bias + 2.4e-3 * draws.normal(),
+                mean + bias + 2.4e-3 * draws.normal(),
             ));
         }
         let number = step as u64 / 100;

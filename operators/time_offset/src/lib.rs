@@ -14,13 +14,15 @@ mod arrival;
 mod clock;
 mod epoch;
 mod line;
+mod middles;
 mod motion;
 mod turning;
 mod watch;
 
 pub use arrival::ArrivalOffset;
-pub use clock::{Judged, SensorClock};
+pub use clock::{Judged, Sensor, SensorClock};
 pub use epoch::{Epoch, epoch_of};
+pub use middles::Middles;
 pub use motion::{MotionLimits, NoMotionOffset, motion_offset};
 pub use turning::{Heading, YawRate};
 pub use watch::{Handling, StampFault, StampFaults, StampRule, StampWatch, Watched};

@@ -63,6 +63,8 @@ struct Description {
     voxels: usize,
     planar: usize,
     left_out: u64,
+    /// Standard deviations of the poses that placed the sweeps: on the ground, up, m, of the heading, rad.
+    pose_sigmas: [f64; 3],
     sweeps: u64,
     /// Stamps of the first and the last sweep, ns.
     span: [i64; 2],
@@ -93,6 +95,7 @@ impl Description {
             voxels: map.len(),
             planar,
             left_out: info.left_out,
+            pose_sigmas: info.pose_sigmas,
             sweeps: info.sweeps,
             span: info.span,
             extent,
@@ -113,6 +116,12 @@ impl fmt::Display for Description {
             self.voxels, self.voxel_m, self.left_out
         )?;
         writeln!(f, "  sweeps    {} in {seconds:.1} s", self.sweeps)?;
+        let [ground, up, heading] = self.pose_sigmas;
+        let heading = heading.to_degrees();
+        writeln!(
+            f,
+            "  poses     ± {ground:.3} m on the ground, {up:.3} m up, {heading:.3}°"
+        )?;
         writeln!(
             f,
             "  frame     `{}`, origin at ({ox:.2}, {oy:.2}, {oz:.2}) m",

@@ -17,6 +17,7 @@ fn build(drive: impl IntoIterator<Item = (f64, f64)>, town: impl Fn(f64) -> Town
             cloud: &cloud,
             map_from_body: &map_from_body,
             sensor: SENSOR,
+            sigmas: [0.0; 3],
         };
         builder.add(&sweep).unwrap();
     }
@@ -119,6 +120,7 @@ fn sweeps_that_are_nowhere_are_refused_and_leave_the_map_as_it_was() {
             cloud: &cloud,
             map_from_body: &pose(x, 0.0, 0.0),
             sensor: SENSOR,
+            sigmas: [0.0; 3],
         };
         builder.add(&sweep)
     };
@@ -161,7 +163,7 @@ proptest! {
         let settings = MapSettings { min_sweeps: 1, apart_s: 0.0, ..MapSettings::default() };
         let mut builder = MapBuilder::new(settings, "map").unwrap();
         let map_from_body = Isometry3::translation(x, y, z);
-        builder.add(&PosedSweep { agent: "a", stamp: 0, cloud: &cloud, map_from_body: &map_from_body, sensor: SENSOR }).unwrap();
+        builder.add(&PosedSweep { agent: "a", stamp: 0, cloud: &cloud, map_from_body: &map_from_body, sensor: SENSOR, sigmas: [0.0; 3] }).unwrap();
         let map = builder.finish(|_, _| ()).unwrap();
         for voxel in map.voxels().filter(|voxel| voxel.points > 50) {
             prop_assert!((voxel.mean.z - z).abs() < 1e-4, "{voxel:?}");

@@ -23,6 +23,7 @@ fn map_of(town: &Town) -> VoxelMap {
             cloud: &cloud,
             map_from_body: &map_from_body,
             sensor: SENSOR,
+            sigmas: [0.0; 3],
         };
         builder.add(&sweep).unwrap();
     }
@@ -179,8 +180,9 @@ fn the_map_of_another_place_has_few_inliers() {
         let right = registrar().align(&street().1, &cloud, &guess, search).unwrap();
         let wrong = registrar().align(&other, &cloud, &guess, search).unwrap();
         let shares = [right.structure_share, wrong.structure_share];
-        eprintln!("{shares:?} {} {}", right.inlier_share, wrong.inlier_share);
         assert!(shares[0] > 0.6 && shares[1] < 0.3, "{shares:?}");
+        let met = [right.met_share, wrong.met_share];
+        assert!(met[0] > 0.9 && met[1] < 0.8, "{met:?}");
     }
 }
 

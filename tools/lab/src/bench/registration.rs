@@ -79,6 +79,7 @@ pub fn bench(python: Option<&Path>, progress: &Progress) -> Result<Registration>
             cloud: &sweep.cloud,
             map_from_body: &sweep.map_from_body,
             sensor: sweep.sensor,
+            sigmas: [0.0; 3],
         })?;
     }
     let map = builder.finish(|_, _| ())?;

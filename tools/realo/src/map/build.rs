@@ -14,6 +14,9 @@ use realo_sync::{OwnBody, clean};
 
 use super::Description;
 
+/// What recorded poses are taken to be off by where they do not say it: on the ground and up, m, and the heading, rad.
+const UNKNOWN: [f64; 3] = [0.05, 0.1, 1.2e-3];
+
 /// How high LiDARs are where a log does not say, m: on vehicles, on roadside units. It matters only to what was seen empty.
 const SENSOR_HEIGHTS: [f64; 2] = [1.9, 5.0];
 
@@ -185,6 +188,7 @@ fn add(
 /// What must be known of an agent to use its sweeps.
 struct Agent {
     track: PoseTrack,
+    sigmas: [f64; 3],
     sensor: [f64; 3],
     own_body: Option<OwnBody>,
 }
@@ -197,6 +201,7 @@ impl Agent {
         let unknown = [0.0, 0.0, if is_vehicle { vehicle } else { roadside }];
         Ok(Agent {
             track: pose_track(log, name, stream, MAX_GAP)?,
+            sigmas: sigmas(log, name, stream)?,
             sensor: info.and_then(|info| info.sensor_position).unwrap_or(unknown),
             own_body: is_vehicle.then_some(OwnBody::V2X_REAL),
         })
@@ -227,9 +232,30 @@ impl Agent {
             cloud: &cloud,
             map_from_body: &map_from_body,
             sensor: self.sensor,
+            sigmas: self.sigmas,
         })?;
         Ok(())
     }
+}
+
+/// Standard deviations of an agent's poses in the mean, as [`PosedSweep::sigmas`] has them.
+fn sigmas(log: &Log, agent: &str, stream: Stream) -> Result<[f64; 3], LogError> {
+    if stream == Stream::PoseTruth {
+        return Ok([0.0; 3]);
+    }
+    let (mut sums, mut poses) = ([0.0; 3], 0.0);
+    let mut reader = log.read_all(&[(agent, stream)])?;
+    while let Some(entry) = reader.next()? {
+        let Ok(state) = entry.pose() else { continue };
+        let said = state.covariance.map(|of| [0.5 * (of[0] + of[7]), of[14], of[35]]);
+        let variances = said.unwrap_or(UNKNOWN.map(|sigma| sigma * sigma));
+        sums.iter_mut().zip(variances).for_each(|(sum, of)| *sum += of);
+        poses += 1.0;
+    }
+    Ok(match poses > 0.0 {
+        true => sums.map(|sum| (sum / poses).sqrt()),
+        false => UNKNOWN,
+    })
 }
 
 impl Counts {
