@@ -25,7 +25,7 @@ const TRACKED: [f64; 2] = [0.6, 0.035];
 const SETTLED: [f64; 2] = [0.02, 1e-3];
 /// Where a map ends, this part of the share is enough, if of the points in its voxels so many are near its surfaces.
 const PART: f64 = 0.5;
-const MET_SHARE: f64 = 0.8;
+const MET_SHARE: f64 = 0.85;
 /// Standard deviations of places on a map of exact poses, if all of a sweep fits: on the ground along each axis, up, m, and of the heading,
 /// rad. Measured on drives of another day than the map's. They go by the inverse square of the share that fits: with a half of
 /// it they are four times as large.
