@@ -16,6 +16,8 @@ use super::Description;
 
 /// What recorded poses are taken to be off by where they do not say it: on the ground and up, m, and the heading, rad.
 const UNKNOWN: [f64; 3] = [0.05, 0.1, 1.2e-3];
+/// Larger variances are none, m² and rad².
+const MAX_VARIANCE: f64 = 1e8;
 
 /// How high LiDARs are where a log does not say, m: on vehicles, on roadside units. It matters only to what was seen empty.
 const SENSOR_HEIGHTS: [f64; 2] = [1.9, 5.0];
@@ -248,6 +250,8 @@ fn sigmas(log: &Log, agent: &str, stream: Stream) -> Result<[f64; 3], LogError> 
     while let Some(entry) = reader.next()? {
         let Ok(state) = entry.pose() else { continue };
         let said = state.covariance.map(|of| [0.5 * (of[0] + of[7]), of[14], of[35]]);
+        // False for what is not a number too.
+        let said = said.filter(|of| of.iter().all(|variance| (0.0..=MAX_VARIANCE).contains(variance)));
         let variances = said.unwrap_or(UNKNOWN.map(|sigma| sigma * sigma));
         sums.iter_mut().zip(variances).for_each(|(sum, of)| *sum += of);
         poses += 1.0;
