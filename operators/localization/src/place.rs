@@ -62,8 +62,8 @@ pub(crate) struct Place {
     /// Height of the lowest voxel, m.
     ground: BTreeMap<[i32; 2], f64>,
     min_share: f64,
-    /// See [`Place::errors`].
-    errors: [f64; 3],
+    /// What the map's poses add to [`Place::errors`].
+    by_poses: [f64; 3],
 }
 
 /// What is known of a pose before the sweep is looked at.
@@ -141,14 +141,13 @@ impl Place {
             max_iterations: 10,
             ..RegistrarSettings::default()
         };
-        let errors = errors(&map.info().pose_sigmas);
         let place = Place {
+            by_poses: by_poses(&map.info().pose_sigmas),
             map,
             registrar: Registrar::new(RegistrarSettings::default())?,
             scout: Registrar::new(scout)?,
             ground,
             min_share,
-            errors,
         };
         Ok((!place.ground.is_empty()).then_some(place))
     }
@@ -158,7 +157,7 @@ impl Place {
     pub fn errors(&self, share: f64) -> [f64; 3] {
         let share = share.clamp(LEAST_SHARE, 1.0);
         let own = MATCHING.map(|sigma| sigma / (share * share));
-        std::array::from_fn(|i| libm::hypot(own[i], self.errors[i]))
+        std::array::from_fn(|i| libm::hypot(own[i], self.by_poses[i]))
     }
 
     /// The height of the ground at a place of the map, m; `None` where the map does not reach.
@@ -246,8 +245,9 @@ impl Place {
     }
 }
 
-/// What a map's poses make of the places that are found on it, as [`Place::errors`]: a heading moves what is far away, too.
-fn errors([ground, up, heading]: &[f64; 3]) -> [f64; 3] {
+/// What the standard deviations of a map's poses are for places that are found on it, as [`Place::errors`]: a heading moves what is far
+/// away, too.
+fn by_poses([ground, up, heading]: &[f64; 3]) -> [f64; 3] {
     [libm::hypot(*ground, FAR * heading), *up, *heading]
 }
 

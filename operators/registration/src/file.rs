@@ -203,9 +203,10 @@ fn check_records(records: &[[u8; BYTES]]) -> Result<(), Flaw> {
                 field: "voxel",
                 expected: "a point or more, an axis of 0 to 2, and a normal of length 1 along it",
                 found: format!(
-                    "{} points, axis {}, in cell {}",
+                    "{} points, axis {}, parts {:.2?} across it, in cell {}",
                     record.points(),
                     record.axis(),
+                    record.sides(),
                     found()
                 ),
             });
@@ -380,7 +381,7 @@ mod tests {
             (first, &[0; 8], "`cell`"),
             (first + 14, &[1, 0x60], "axis 3"),
             (first + 14, &[0, 0], "0 points"),
-            (first + 16, &[0xff, 0x7f, 0xff, 0x7f], "normal"),
+            (first + 16, &[0xff, 0x7f, 0xff, 0x7f], "parts [1.00, 1.00] across it"),
             (first + BYTES * 5, &[0xff], "`frame`: expected UTF-8"),
             (64, &f64::NAN.to_le_bytes(), "`pose_sigmas, on the ground`"),
             (88, &[7], "sound"),

@@ -282,7 +282,8 @@ impl Registrar {
         let observed = Observed::new(sums, self.settings.degenerate_share);
         let variance = (sums.square / sums.weight).max(MIN_VARIANCE);
         let inliers = f64::from(sums.inliers);
-        let off_ground = points as f64 - f64::from(sums.on_ground);
+        let [points_off, met_off, inliers_off] =
+            [points as f64, f64::from(sums.met), inliers].map(|all| all - f64::from(sums.on_ground));
         let share = |part: f64, all: f64| if all > 0.0 { part / all } else { 0.0 };
         let unknown = |k: usize| Direction {
             share: 0.0,
@@ -296,11 +297,8 @@ impl Registrar {
             directions: observed.map_or_else(|| std::array::from_fn(unknown), |observed| observed.directions),
             points,
             inlier_share: share(inliers, points as f64),
-            structure_share: share(inliers - f64::from(sums.on_ground), off_ground),
-            met_share: share(
-                inliers - f64::from(sums.on_ground),
-                f64::from(sums.met) - f64::from(sums.on_ground),
-            ),
+            structure_share: share(inliers_off, points_off),
+            met_share: share(inliers_off, met_off),
             mean_distance_m: share(sums.distance, inliers),
             iterations: progress.iterations,
             converged: progress.converged,

@@ -168,14 +168,21 @@ impl Record<'_> {
 
     /// Whether the parts of the normal across its axis are no larger than those of one that is longest along it.
     pub fn is_sound_normal(self) -> bool {
-        let [a, b] = [16, 18].map(|at| self.signed(at));
+        let [a, b] = self.sides();
+        // At most 2/3, and what rounding adds.
         a * a + b * b < 0.67
+    }
+
+    /// The normal's parts along the two axes that follow its own.
+    #[inline]
+    pub fn sides(self) -> [f32; 2] {
+        [16, 18].map(|at| self.signed(at))
     }
 
     /// Direction in which the points vary least.
     #[inline]
     pub fn normal(self) -> [f32; 3] {
-        let [a, b] = [16, 18].map(|at| self.signed(at));
+        let [a, b] = self.sides();
         let most = (1.0 - a * a - b * b).max(0.0).sqrt();
         match self.axis() {
             0 => [most, a, b],

@@ -62,6 +62,39 @@ fn a_unit_is_localised_by_the_mean_of_scans_and_held() {
 }
 
 #[test]
+fn a_unit_is_known_after_three_scans_and_one_that_disagrees_is_left_out() {
+    let mut draws = Draws::new(12);
+    let mut held = estimator();
+    let elsewhere = Isometry3::translation(2.0, 0.0, 0.0) * pose();
+    let mut verdicts = Vec::new();
+    for (number, place) in [pose(), pose(), elsewhere, pose()].iter().enumerate() {
+        verdicts.push(held.take(&scan(number as u32, place, &mut draws)));
+    }
+    let expected = [
+        Verdict::Waiting,
+        Verdict::Waiting,
+        Verdict::Refused(Fault::ScanGate),
+        Verdict::Used,
+    ];
+    assert_eq!(verdicts, expected);
+    let estimate = held.estimate_at(START).unwrap();
+    assert!(estimate.error(&pose()).fixed_rows::<3>(0).norm() < 0.2);
+}
+
+#[test]
+fn a_first_scan_that_others_disagree_with_makes_room_for_them() {
+    let mut draws = Draws::new(13);
+    let mut held = estimator();
+    held.take(&scan(0, &(Isometry3::translation(2.0, 0.0, 0.0) * pose()), &mut draws));
+    for number in 1..8 {
+        held.take(&scan(number, &pose(), &mut draws));
+    }
+    assert_eq!(held.status(), Status::Tracking);
+    let estimate = held.estimate_at(START).unwrap();
+    assert!(estimate.error(&pose()).fixed_rows::<3>(0).norm() < 0.2);
+}
+
+#[test]
 fn a_unit_that_was_moved_is_lost_and_found() {
     let mut draws = Draws::new(10);
     let mut held = estimator();
