@@ -232,6 +232,35 @@ fn a_guard_wins_back_what_wrong_poses_cost_and_costs_nothing_where_they_are_righ
 }
 
 #[test]
+fn a_guard_of_points_and_of_maps_keeps_wrong_poses_from_harm() {
+    let noise = ["--set", "others.sense.localization.position_noise_m=3"];
+    let run = |out: &str, graph: &str, more: &[&str]| {
+        let result = run_virtual(
+            out,
+            graph,
+            &guarded_log(),
+            &[&["--offline", "--ego", "cav1"], more].concat(),
+        );
+        let map = result["accuracy"]["sorted"]["mAP"]["0.3"].as_f64().expect("an mAP");
+        (map, result["nodes"]["fusion.guard"]["counters"].clone())
+    };
+    let (alone, _) = run("guard_sees_alone", "no_fusion", &[]);
+    for graph in ["early_fusion", "attfuse"] {
+        let guarded = format!("{graph}_guarded");
+        let (exact, _) = run(&format!("guard_{graph}"), graph, &[]);
+        let (kept, _) = run(&format!("guard_{guarded}"), &guarded, &[]);
+        assert!(kept >= exact - 0.02, "{guarded}: {kept} of {exact}");
+        let (wrong, _) = run(&format!("guard_{graph}_wrong"), graph, &noise);
+        let (won, counters) = run(&format!("guard_{guarded}_wrong"), &guarded, &noise);
+        assert!(
+            won > wrong && won >= alone - 0.02,
+            "{guarded}: {won}, {wrong} without a guard, {alone} alone"
+        );
+        assert!(counters["corrected_messages"].as_u64() > Some(0), "{counters}");
+    }
+}
+
+#[test]
 fn a_liar_is_left_out_by_name_and_costs_the_others_nothing() {
     let lies = [
         "others.liar.agents=cav2",

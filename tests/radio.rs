@@ -12,7 +12,7 @@ use std::time::Duration;
 
 use common::machine::{decided, quarter, three_quarters};
 use common::{
-    Peer, REALO, arguments, boxes, files_below, folder, free_port, graph, json, realo, realo_ok, root, run_virtual,
+    Peer, REALO, arguments, boxes, files_below, folder, free_port, json, realo, realo_ok, root, run_virtual,
     run_virtual_faulty, simulated, text,
 };
 use serde_json::Value;
@@ -23,10 +23,16 @@ fn log() -> PathBuf {
     simulated("spread", &args.split(' ').collect::<Vec<_>>())
 }
 
-/// With points, for networks.
+/// With points, for networks: one sweep a second leaves any machine time to compute. The other agent's lie 76 ms behind the ego's.
 fn clouds() -> PathBuf {
-    let args = "--seed 903 --seconds 3 --key-hz 10 --agents cav1,rsu1";
-    simulated("radio_clouds", &args.split(' ').collect::<Vec<_>>())
+    let args = "--seed 923 --seconds 10 --phase spread --key-hz 1 --key-sweeps-only --agents cav1,rsu1";
+    simulated("radio_slow", &args.split(' ').collect::<Vec<_>>())
+}
+
+/// Arguments of a run that detects by itself.
+fn with_networks(name: &str, log: &Path, out: &Path, set: &[String]) -> Vec<String> {
+    let all = arguments(name, log, out, set);
+    all.into_iter().filter(|one| one != "--recorded-detections").collect()
 }
 
 /// sent = used + … + lost, for what the peer sent.
@@ -86,26 +92,15 @@ fn late_fusion_over_zenoh() {
 }
 
 /// What the vehicle finds with others' points or maps that come over a link without limits, beside what its sister on one machine finds
-/// over a perfect one. One sweep a second leaves time to compute, so that ages are those of the log on any machine; the other agent's lie
-/// 76 ms behind the ego's, which fuses those before.
+/// over a perfect one: the ego fuses the maps or points before its own, so that ages are those of the log on any machine.
 fn assert_same_boxes(strategy: &str, projected_by: &str, sender: &[&str], roadside: &[&str], banks: &[&str]) {
     let _share = three_quarters();
-    let args = "--seed 923 --seconds 10 --phase spread --key-hz 1 --key-sweeps-only --agents cav1,rsu1";
-    let (log, port) = (
-        simulated("radio_slow", &args.split(' ').collect::<Vec<_>>()),
-        free_port(),
-    );
+    let (log, port) = (clouds(), free_port());
     let of_bank = |bank: &&str| ["window_ms=1500", "patience_ms=0"].map(|setting| format!("{bank}.bank.{setting}"));
     let windows: Vec<String> = banks.iter().flat_map(of_bank).collect();
-    let run = |name: &str, out: &Path, settings: &[String]| {
-        let (log, out) = (log.display().to_string(), out.display().to_string());
-        let all = ["run".into(), graph(name), "--log".into(), log, "--out".into(), out];
-        let settings = settings.iter().flat_map(|one| ["--set".to_string(), one.clone()]);
-        all.into_iter().chain(settings).collect::<Vec<String>>()
-    };
     let of_others: Vec<String> = sender.iter().map(|one| format!("others.{one}")).collect();
     let together = folder(&format!("radio_{strategy}_together"));
-    let mut args = run(strategy, &together, &[&of_others[..], &windows].concat());
+    let mut args = with_networks(strategy, &log, &together, &[&of_others[..], &windows].concat());
     let virtually = [
         "--mode",
         "virtual",
@@ -134,9 +129,14 @@ fn assert_same_boxes(strategy: &str, projected_by: &str, sender: &[&str], roadsi
     };
     let mut connects = of_radio([format!("v2x.connect=tcp/127.0.0.1:{port}"), "player.repeat=20".into()]);
     connects.extend(roadside.iter().map(|setting| setting.to_string()));
-    let _peer = Peer::spawn(run(&format!("{strategy}.roadside"), &far, &connects));
+    let _peer = Peer::spawn(with_networks(&format!("{strategy}.roadside"), &log, &far, &connects));
     let listens = of_radio([format!("v2x.listen=tcp/127.0.0.1:{port}"), "player.repeat=2".into()]);
-    let vehicle = run(&format!("{strategy}.vehicle"), &near, &[listens, windows].concat());
+    let vehicle = with_networks(
+        &format!("{strategy}.vehicle"),
+        &log,
+        &near,
+        &[listens, windows].concat(),
+    );
     // The first pass may begin before the other agent is heard, the second goes on from it, and a machine that stands still costs a frame.
     let mut same = Vec::new();
     for _ in 0..3 {
@@ -293,30 +293,15 @@ fn share_maps() {
     let _share = three_quarters();
     let (log, port) = (clouds(), free_port());
     let (near, far) = (folder("radio_maps_vehicle"), folder("radio_maps_roadside"));
-    let arguments = |name: &str, out: &Path, set: String| -> Vec<String> {
-        let (log, out) = (log.display().to_string(), out.display().to_string());
-        let repeat = "player.repeat=3".to_string();
-        let all = [
-            "run".into(),
-            graph(name),
-            "--log".into(),
-            log,
-            "--out".into(),
-            out,
-            "--set".into(),
-            set,
-        ];
-        all.into_iter().chain(["--set".into(), repeat]).collect()
-    };
+    let repeat = "player.repeat=3".to_string();
     let roadside = std::thread::spawn({
-        let arguments = arguments("attfuse.roadside", &far, format!("v2x.connect=tcp/127.0.0.1:{port}"));
-        move || realo_ok(arguments)
+        let connect = format!("v2x.connect=tcp/127.0.0.1:{port}");
+        let run = with_networks("attfuse.roadside", &log, &far, &[connect, repeat.clone()]);
+        move || realo_ok(run)
     });
-    realo_ok(arguments(
-        "attfuse.vehicle",
-        &near,
-        format!("v2x.listen=tcp/127.0.0.1:{port}"),
-    ));
+    let listen = format!("v2x.listen=tcp/127.0.0.1:{port}");
+    let window = "fusion.bank.window_ms=1500".to_string();
+    realo_ok(with_networks("attfuse.vehicle", &log, &near, &[listen, repeat, window]));
     roadside
         .join()
         .expect("the roadside unit's run is complete, though its lane hangs on its own radio");

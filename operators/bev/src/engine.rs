@@ -107,6 +107,18 @@ impl Engine {
         }
     }
 
+    /// The heads of a map that agents share, by this map alone, which stay until the next one.
+    ///
+    /// # Errors
+    /// Those of [`Network::heads_alone`], and of the device.
+    pub fn heads_alone(&mut self, map: BevView, steps: &mut Steps) -> Result<&Heads, EngineError> {
+        match self {
+            Engine::Kernels(network) => of_kernels(network.heads_alone(map), steps),
+            #[cfg(feature = "cuda")]
+            Engine::Candle(engine) => Ok(engine.heads_alone(map, &mut Timed(steps))?),
+        }
+    }
+
     /// From a BEV map to the heads, which stay until the next one.
     ///
     /// # Errors

@@ -3,10 +3,11 @@
 use nalgebra::{Isometry3, Matrix3, Matrix6, Translation3, Vector2};
 use realo_assignment::AssignmentError;
 use realo_schemas::geometry::{relative, yaw_of};
-use realo_schemas::{Boxes, Header, Message, Name, Nanos, Payload, Pose, from_seconds, to_seconds};
+use realo_schemas::{Box3, Boxes, Header, Message, Name, Nanos, Payload, Pose, from_seconds, to_seconds};
 
 use crate::boxes::{Ego, Judgement, Limits, Origin, judge};
 use crate::constellation::lay_over;
+use crate::look::without;
 use crate::objects::{Object, objects};
 use crate::overlay::judge_points;
 use crate::record::Record;
@@ -17,6 +18,8 @@ use crate::verdict::Reason;
 /// A message that came with a selection.
 pub(crate) struct Entry {
     message: Message,
+    /// Of a map of features the boxes that it shows, where they were looked for.
+    shown: Option<Vec<Box3>>,
     origin: Option<Origin>,
     had_no_pose: bool,
     had_wrong_covariance: bool,
@@ -29,13 +32,14 @@ pub(crate) struct Guarded {
 }
 
 impl Entry {
-    /// A message and where it is from; one without a pose is placed by the ego's objects, if that is asked for.
+    /// A message, what a map shows, and where it is from; one without a pose is placed by the ego's objects, if that is asked for.
     ///
     /// # Errors
     /// [`AssignmentError`] for more objects than an assignment takes.
     pub fn of(
         ego: &Header,
         mut message: Message,
+        shown: Option<Vec<Box3>>,
         known: &[Object],
         limits: &Limits,
         constellations: bool,
@@ -43,9 +47,12 @@ impl Entry {
         let had_wrong_covariance = drop_wrong_covariance(&mut message.header);
         let map_from_ego = ego.pose.as_ref().map(|pose| pose.map_from_frame);
         let had_no_pose = message.header.pose.is_none();
-        if let (true, true, Some(map_from_ego), Payload::Boxes(Boxes(boxes))) =
-            (had_no_pose, constellations, map_from_ego, &message.payload)
-        {
+        if let (true, true, Some(map_from_ego), Some(boxes)) = (
+            had_no_pose,
+            constellations,
+            map_from_ego,
+            boxes(&message.payload, shown.as_deref()),
+        ) {
             let theirs = objects(boxes, &Isometry3::identity(), 0.0, limits.max_boxes);
             if let Some(fit) = lay_over(known, &theirs, &limits.noise)? {
                 message.header.pose = Some(Pose::exact(map_from_ego * fit.shift.isometry()));
@@ -56,6 +63,7 @@ impl Entry {
             had_no_pose: had_no_pose && origin.is_some(),
             origin,
             message,
+            shown,
             had_wrong_covariance,
         })
     }
@@ -65,17 +73,39 @@ impl Entry {
     /// # Errors
     /// [`AssignmentError`] for more objects than an assignment takes.
     pub fn judge(self, ego: &Sight, record: Record, limits: &Limits) -> Result<Guarded, AssignmentError> {
-        let judgement = match (&self.origin, &self.message.payload) {
-            (Some(origin), Payload::Boxes(Boxes(boxes))) if ego.has_boxes => {
+        let payload = &self.message.payload;
+        let said = boxes(payload, self.shown.as_deref()).filter(|_| ego.has_boxes);
+        let judgement = match (&self.origin, payload, said) {
+            (Some(origin), _, Some(said)) => {
                 let (objects, view) = (&ego.known, ego.view.as_ref());
-                Some(judge(boxes, &Ego { objects, view }, origin, &record, limits)?)
+                let is_map = matches!(payload, Payload::FeatureMap(_));
+                // What a map shows stays where it was.
+                let limits = Limits {
+                    moves: limits.moves && !is_map,
+                    ..*limits
+                };
+                let mut judgement = judge(said, &Ego { objects, view }, origin, &record, &limits)?;
+                if let Payload::FeatureMap(map) = payload {
+                    let gone: Vec<&Box3> = judgement.gone.iter().map(|index| &said[*index]).collect();
+                    judgement.kept = without(map, &gone).into();
+                }
+                Some(judgement)
             }
-            (Some(origin), Payload::PointCloud(cloud)) => ego
+            (Some(origin), Payload::PointCloud(cloud), None) => ego
                 .sweep()
                 .map(|sweep| judge_points(cloud, &sweep, origin, &record, limits)),
             _ => None,
         };
         Ok(Guarded { entry: self, judgement })
+    }
+}
+
+/// The boxes that a message says or shows.
+fn boxes<'a>(payload: &'a Payload, shown: Option<&'a [Box3]>) -> Option<&'a [Box3]> {
+    match payload {
+        Payload::Boxes(Boxes(said)) => Some(said),
+        Payload::FeatureMap(_) => shown,
+        _ => None,
     }
 }
 

@@ -2,6 +2,7 @@
 //!
 //! - [`Scene`] are the objects of the ego and of one collaborator; [`search`] finds the motion that brings theirs to the ego's, [`fit`] its
 //!   least squares, [`lay_over`] the same of an agent that says no pose. [`ahead_s`] finds how far a clock is off.
+//! - Of a map of features the boxes are looked at that the heads of its model find in it alone.
 //! - [`View`] is what the ego's own sweep shows: free ground, things that stand, places that it cannot see.
 //! - [`judge`] sorts a collaborator's boxes by both, and says what is kept; [`Record`] is what is known of it from before.
 //! - [`FusionGuard`] is the stage.
@@ -26,6 +27,7 @@ mod constellation;
 mod counters;
 mod entry;
 mod fit;
+mod look;
 mod objects;
 mod operator;
 mod overlay;

@@ -1,14 +1,17 @@
 use std::collections::BTreeMap;
+use std::path::PathBuf;
 
+use realo_bev::Computing;
 use realo_operator::{Describe, Error, Inputs, Operator, Outputs, Settings};
 use realo_schemas::report::Fate;
-use realo_schemas::{Header, Message, Name, Nanos, PointCloud, Selection};
+use realo_schemas::{Box3, Header, Message, Name, Nanos, Payload, PointCloud, Selection};
 use serde::{Deserialize, Serialize};
 
 use crate::boxes::Limits;
 use crate::counters::*;
 use crate::entry::{Entry, Guarded};
 use crate::fit::Noise;
+use crate::look::Looker;
 use crate::record::Record;
 use crate::search::Reach;
 use crate::sight::Sight;
@@ -23,6 +26,9 @@ pub struct Settings {
     /// Whether anything is checked; false: selections pass as they are.
     #[setting(default = true)]
     pub enabled: bool,
+    /// The model file whose heads look at each map of features alone; its weights are in the same folder. Without it maps pass as they are.
+    #[setting(role = "model", path)]
+    pub model: PathBuf,
     /// Whether the fusion moves boxes by their velocities (its `move_boxes`), so that they are compared at the ego's time.
     pub move_boxes: bool,
     /// Standard deviation along an axis between two agents' centres of one object, m.
@@ -55,6 +61,10 @@ pub struct Settings {
     /// Collaborators that are known at the same time; the one that was silent longest makes room.
     #[setting(default = 256, range = 1..=100_000)]
     pub max_agents: usize,
+    /// With a model, how its heads are computed.
+    #[setting(flatten)]
+    #[serde(flatten)]
+    pub computing: Computing,
 }
 
 /// Corrects what collaborators say by what the ego sees, and leaves out what it cannot confirm.
@@ -76,6 +86,7 @@ pub struct Settings {
 pub struct FusionGuard {
     settings: Settings,
     limits: Limits,
+    looker: Option<Looker>,
     ego: Option<Message>,
     sweep: Option<(Header, PointCloud)>,
     records: BTreeMap<Name, (Record, u64)>,
@@ -133,7 +144,12 @@ impl Operator for FusionGuard {
             max_objects: settings.max_objects,
             moves: settings.move_boxes,
         };
+        let looker = match settings.model.as_os_str().is_empty() {
+            true => None,
+            false => Some(Looker::new(&settings.model, &settings.computing)?),
+        };
         Ok(FusionGuard {
+            looker,
             settings,
             limits,
             ego: None,
@@ -174,13 +190,16 @@ impl FusionGuard {
         entries: Vec<Message>,
         out: &mut Outputs<Output>,
     ) -> Result<Vec<Message>, Error> {
-        let mut sight = Sight::of(ego, sweep, self.limits.max_boxes);
+        let shown = self.shown(&ego.payload, out)?;
+        let mut sight = Sight::of(ego, shown, sweep, self.limits.max_boxes);
         let mut guarded: Vec<Guarded> = Vec::new();
         for entry in entries {
             let record = self.record(&entry.header.agent, ego.header.stamp, out);
+            let shown = self.shown(&entry.payload, out)?;
             let entry = Entry::of(
                 &ego.header,
                 entry,
+                shown,
                 &sight.known,
                 &self.limits,
                 self.settings.constellations,
@@ -205,6 +224,14 @@ impl FusionGuard {
             kept.extend(settle(one, &ego.header, out));
         }
         Ok(kept)
+    }
+
+    /// The boxes that a map of features shows; `None` for what is none, or cannot be looked at.
+    fn shown(&mut self, payload: &Payload, out: &mut Outputs<Output>) -> Result<Option<Vec<Box3>>, Error> {
+        match (payload, &mut self.looker) {
+            (Payload::FeatureMap(map), Some(looker)) => looker.boxes(map, out.steps()),
+            _ => Ok(None),
+        }
     }
 
     /// What is known of an agent; of a new one too many, the agent that was silent longest is forgotten.

@@ -1,7 +1,7 @@
 //! What the ego knows when a selection comes.
 
 use nalgebra::Isometry3;
-use realo_schemas::{Boxes, Message, Payload, PointCloud};
+use realo_schemas::{Box3, Boxes, Message, Payload, PointCloud};
 
 use crate::cells::Ground;
 use crate::objects::{Object, objects};
@@ -30,18 +30,19 @@ pub(crate) struct Sweep<'a> {
 }
 
 impl Sight {
-    /// What a message of the ego and its sweep say; a message of points is a sweep itself.
-    pub fn of(ego: &Message, sweep: Option<PointCloud>, max_boxes: usize) -> Self {
+    /// What a message of the ego and its sweep say; a message of points is a sweep itself, and a map shows boxes.
+    pub fn of(ego: &Message, shown: Option<Vec<Box3>>, sweep: Option<PointCloud>, max_boxes: usize) -> Self {
         let (own, is_points) = match &ego.payload {
             Payload::PointCloud(cloud) => (Some(cloud.clone()), true),
             _ => (None, false),
         };
         let sweep = own.or(sweep);
         let view = sweep.as_ref().map(View::of);
-        let known = match &ego.payload {
-            Payload::Boxes(Boxes(boxes)) => Some(objects(boxes, &Isometry3::identity(), 0.0, max_boxes)),
-            _ => None,
+        let said = match &ego.payload {
+            Payload::Boxes(Boxes(boxes)) => Some(boxes),
+            _ => shown.as_ref(),
         };
+        let known = said.map(|boxes| objects(boxes, &Isometry3::identity(), 0.0, max_boxes));
         Sight {
             has_boxes: known.is_some(),
             known: known.unwrap_or_default(),

@@ -14,6 +14,8 @@ const SKID_BY_ACCELERATION: f64 = 0.01;
 const STANDING: f64 = 0.01;
 /// Angular rate at a standstill, rad/s: of a body with a running engine.
 const STANDING_RATE: f64 = 5e-4;
+/// Fixes of a receiver a second.
+const FIXES_HZ: f64 = 10.0;
 /// Variance that takes roll and pitch of a scan out of the measurement, rad².
 const UNUSED_TILT: f64 = 100.0;
 
@@ -34,9 +36,20 @@ pub(crate) struct LocalScan {
 
 impl LocalFix {
     /// Standard deviations of what wanders, and variances of the rest.
+    ///
+    /// What a receiver reports beyond its unit's is of detours between buildings. Fixes of one detour err alike, so together they say no
+    /// more than one of them.
     pub fn split(&self, rules: &Rules) -> [Vector3<f64>; 2] {
-        let share = rules.noise.gnss_wander_share;
-        [self.variance.map(|v| (share * v).sqrt()), self.variance * (1.0 - share)]
+        let noise = &rules.noise;
+        let sky = self
+            .variance
+            .zip_map(&Vector3::from(noise.gnss), |v, unit| v.min(unit * unit));
+        let alike = (2.0 * noise.gnss_detour_s * FIXES_HZ).max(1.0);
+        let share = noise.gnss_wander_share;
+        [
+            sky.map(|v| (share * v).sqrt()),
+            sky * (1.0 - share) + (self.variance - sky) * alike,
+        ]
     }
 
     /// East and north against a belief.

@@ -118,7 +118,7 @@ fn other_maps(model: &Model, encoder: &Model) -> Vec<String> {
         .collect()
 }
 
-/// A network that begins with all tensors of given weights that it has; a fusion and compressor that they lack begin at random.
+/// A network that begins with all tensors of given weights that it has; what they lack begins at random.
 ///
 /// # Errors
 /// Those of candle.

@@ -4,6 +4,7 @@
 //! a [`tape`] leads gradients back through, its fusion of candle's. [`train`] is the loop around it.
 
 mod checkpoint;
+mod compressor;
 mod curve;
 pub mod data;
 mod error;

@@ -301,7 +301,7 @@ impl Network {
                         .map(|(old, new)| old + MOMENTUM * (new - old))
                         .collect::<Vec<f32>>())
                 })?;
-                self.set(self.places[&key], moved)?;
+                self.set(self.place(&key), moved)?;
             }
         }
         Ok(())
@@ -312,7 +312,15 @@ impl Network {
     /// # Panics
     /// If the network has none of this key.
     pub(crate) fn value(&self, key: &str) -> &Tensor {
-        &self.parameters[self.places[key]].value
+        &self.parameters[self.place(key)].value
+    }
+
+    /// Where a tensor is by its key, as [`Network::set`] takes it.
+    ///
+    /// # Panics
+    /// If the network has none of this key.
+    pub(crate) fn place(&self, key: &str) -> usize {
+        self.places[key]
     }
 }
 

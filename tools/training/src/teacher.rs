@@ -17,8 +17,8 @@ use realo_nn::weights::Weights;
 use crate::TrainError;
 use crate::data::Scene;
 
-/// How much a cell counts in which the teacher is sure that nothing is: there are a hundred of these for each cell of an object.
-const FLOOR: f32 = 0.01;
+/// How much a cell counts in which a detector is sure that nothing is: there are a hundred of these for each cell of an object.
+pub(crate) const FLOOR: f32 = 0.01;
 
 /// Weight of the lesson's loss beside those of scores and boxes.
 const WEIGHT: f64 = 4.0;

@@ -127,8 +127,24 @@ impl Engine {
         let network = &self.network;
         let map = timed(steps, "to_device", || network.put_fused(map))?;
         let made = computed(network, steps, || network.heads(&map))?;
+        self.keep(&made, steps)
+    }
+
+    /// As [`Engine::heads`], of a map that agents share, by this map alone.
+    ///
+    /// # Errors
+    /// Those of [`Network::put_shared`] and [`Network::heads_alone`].
+    pub fn heads_alone(&mut self, map: BevView, steps: &mut dyn Watch) -> Result<&Heads, Error> {
+        let network = &self.network;
+        let map = timed(steps, "to_device", || network.put_shared(map))?;
+        let made = computed(network, steps, || network.heads_alone(&map))?;
+        self.keep(&made, steps)
+    }
+
+    /// Takes what the heads made to the host, where it stays until the next one.
+    fn keep(&mut self, made: &Tensor, steps: &mut dyn Watch) -> Result<&Heads, Error> {
         let (rows, columns, outputs) = made.dims3()?;
-        let scores = network.scores();
+        let scores = self.network.scores();
         let part = |first: usize, count: usize| numbers(&made.narrow(2, first, count)?);
         let parts = timed(steps, "to_host", || {
             candle_core::Result::Ok((part(0, scores)?, part(scores, outputs - scores)?))

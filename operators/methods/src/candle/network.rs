@@ -181,9 +181,17 @@ impl Network {
     /// # Errors
     /// Those of the device.
     pub fn confidence(&self, map: &Tensor) -> Result<Tensor, Error> {
-        let restored = self.between(map, self.layers.features, self.layers.restored)?;
-        let scores = self.heads(&restored)?.narrow(2, 0, self.scores())?;
+        let scores = self.heads_alone(map)?.narrow(2, 0, self.scores())?;
         Ok(sigmoid(&scores.max(2)?)?)
+    }
+
+    /// As [`Network::heads`], of a map that agents share, by this map alone.
+    ///
+    /// # Errors
+    /// Those of the device.
+    pub fn heads_alone(&self, map: &Tensor) -> Result<Tensor, Error> {
+        let restored = self.between(map, self.layers.features, self.layers.restored)?;
+        self.heads(&restored)
     }
 
     /// Numbers of scores in a cell of what [`Network::heads`] gives; deltas follow.

@@ -144,16 +144,24 @@ impl Network {
     /// # Errors
     /// Those of [`Network::heads`].
     pub fn confidence<'a>(&mut self, map: impl Into<BevView<'a>>) -> Result<Vec<f32>, NetworkError> {
+        Ok(self.heads_alone(map)?.confidence())
+    }
+
+    /// The heads of a map that agents share, by this map alone, as [`Network::confidence`].
+    ///
+    /// # Errors
+    /// Those of [`Network::heads`].
+    pub fn heads_alone<'a>(&mut self, map: impl Into<BevView<'a>>) -> Result<&Heads, NetworkError> {
         let core = &*self.core;
         let Some(restore) = &mut self.restore else {
-            return Ok(self.heads(map)?.confidence());
+            return self.heads(map);
         };
         let view = plain(&core.name, map.into(), core.features)?;
         let mut pool = lock(&self.pool);
         let data = restore.run(&mut pool, view).to_f32(&mut pool);
         drop(pool);
         let restored = map_of(core.fused, data);
-        Ok(self.heads(&restored)?.confidence())
+        self.heads(&restored)
     }
 
     /// From a BEV map to the heads, which stay until the next one. The map is read where it lies, unless the network computes

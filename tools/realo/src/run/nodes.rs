@@ -13,9 +13,11 @@ pub(super) fn registration(node: &FlatNode) -> Option<&'static Registration> {
     node.registration(&registry())
 }
 
-/// The argument of a node that something of a run decides.
+/// The argument of a node that something of a run decides. A stage that may have a network and names no model runs none.
 pub fn decided_argument(node: &FlatNode, role: &'static str) -> Option<&'static str> {
-    registration(node)?.setting(role)
+    let name = registration(node)?.setting(role)?;
+    let runs_none = role == roles::MODEL && argument(node, name).is_some_and(|model| model.is_empty());
+    (!runs_none).then_some(name)
 }
 
 /// The nodes with an argument that something of a run decides.
@@ -124,7 +126,7 @@ pub fn anchor_paths(graph: &mut FlatGraph) -> Result<()> {
 }
 
 /// Whether the value of a setting is a path relative to `folder`. One that begins with `./` or `../` is, and one with a
-/// `/` or an ending where something has that name; the model of a network always. A stage says which of its settings are
+/// `/` or an ending where something has that name; the model of a network always, if there is one. A stage says which of its settings are
 /// paths. A program (`known` is `None`) does not; there all may be but numbers.
 pub fn is_path(known: Option<&Registration>, key: &str, value: &str, folder: &Path) -> bool {
     let may_be = match known {
@@ -138,7 +140,7 @@ pub fn is_path(known: Option<&Registration>, key: &str, value: &str, folder: &Pa
     let path = Path::new(value);
     let is_there = || (path.components().count() > 1 || path.extension().is_some()) && folder.join(path).exists();
     let is_model = || known.and_then(|known| known.setting(roles::MODEL)) == Some(key);
-    may_be && (is_relative || is_model() || is_there())
+    may_be && !value.is_empty() && (is_relative || is_model() || is_there())
 }
 
 #[cfg(test)]
@@ -159,6 +161,7 @@ mod tests {
             (find("operator", "link"), "profile", "b.toml", false),
             (find("operator", "link"), "profile", "./b.toml", true),
             (find("operator", "pillar-encoder"), "model", "lite", true),
+            (find("operator", "fusion-guard"), "model", "", false),
             (find("node", "player"), "ego", "./cav1", false),
             (None, "overlap", "0.2", false),
             (None, "weights", "a.toml", true),

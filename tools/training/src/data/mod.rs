@@ -26,4 +26,4 @@ pub use logged::{LoggedData, LoggedFrames};
 pub use maps::Member;
 pub(crate) use maps::{MapEncoder, Party, Project};
 pub use sample::{Augmentation, Cast, REACH as PARTNER_REACH, Sample};
-pub(crate) use sample::{Scene, near};
+pub(crate) use sample::{PlacedSweep, Scene, near};

@@ -17,6 +17,7 @@ use super::time::{Pace, Time};
 use super::{Data, News, Observer, Progress, TrainOptions, Trained};
 use crate::TrainError;
 use crate::checkpoint::{Checkpoint, TrainingPlan, write_weights};
+use crate::compressor;
 use crate::curve::{Curve, Point};
 use crate::data::{Batch, Frames, LATER, REACH, Sampling, Supply, left_out_once, write_whole};
 use crate::freeze::Frozen;
@@ -182,6 +183,9 @@ impl<'a> Training<'a> {
         let lock = lock(&options.output)?;
         let weights = start.as_ref().map(|start| &*start.weights);
         let mut state = state(options, &model, weights, plan, &checkpoint)?;
+        if let (Some(weights), false) = (weights, options.resume) {
+            compressor::begin(&mut state.network, weights, options.seed, &source.frames)?;
+        }
         state.network.arithmetic = options.arithmetic.unwrap_or_else(Arithmetic::fastest);
         state.network.frozen_norms = options.frozen_norms;
         let sampling = sampling(options, &model, &source.frames, state.supply.clone(), teacher);
