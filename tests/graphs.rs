@@ -242,7 +242,9 @@ fn a_guard_of_points_and_of_maps_keeps_wrong_poses_from_harm() {
             &[&["--offline", "--ego", "cav1"], more].concat(),
         );
         let map = result["accuracy"]["sorted"]["mAP"]["0.3"].as_f64().expect("an mAP");
-        (map, result["nodes"]["fusion.guard"]["counters"].clone())
+        let counters = result["nodes"]["fusion.guard"]["counters"].clone();
+        assert_eq!(counters["unchecked_messages"], Value::Null, "{counters}");
+        (map, counters)
     };
     let (alone, _) = run("guard_sees_alone", "no_fusion", &[]);
     for graph in ["early_fusion", "attfuse"] {
@@ -258,6 +260,13 @@ fn a_guard_of_points_and_of_maps_keeps_wrong_poses_from_harm() {
         );
         assert!(counters["corrected_messages"].as_u64() > Some(0), "{counters}");
     }
+    let fcooper = ["--model", "lite-fcooper"];
+    let (exact, _) = run("guard_fcooper", "fcooper", &[]);
+    let (kept, _) = run("guard_fcooper_guarded", "attfuse_guarded", &fcooper);
+    assert!(
+        kept > alone && kept >= exact - 0.02,
+        "F-Cooper: {kept} of {exact}, {alone} alone"
+    );
 }
 
 #[test]

@@ -23,7 +23,8 @@ fn log() -> PathBuf {
     simulated("spread", &args.split(' ').collect::<Vec<_>>())
 }
 
-/// With points, for networks: one sweep a second leaves any machine time to compute. The other agent's lie 76 ms behind the ego's.
+/// With points, for networks: one sweep a second leaves any machine time to compute. The other agent's sweeps are 76 ms later than the
+/// ego's, so the ego always fuses the sweep before.
 fn clouds() -> PathBuf {
     let args = "--seed 923 --seconds 10 --phase spread --key-hz 1 --key-sweeps-only --agents cav1,rsu1";
     simulated("radio_slow", &args.split(' ').collect::<Vec<_>>())
@@ -92,7 +93,7 @@ fn late_fusion_over_zenoh() {
 }
 
 /// What the vehicle finds with others' points or maps that come over a link without limits, beside what its sister on one machine finds
-/// over a perfect one: the ego fuses the maps or points before its own, so that ages are those of the log on any machine.
+/// over a perfect one. Ages are those of the log on any machine.
 fn assert_same_boxes(strategy: &str, projected_by: &str, sender: &[&str], roadside: &[&str], banks: &[&str]) {
     let _share = three_quarters();
     let (log, port) = (clouds(), free_port());

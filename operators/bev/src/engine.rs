@@ -107,7 +107,7 @@ impl Engine {
         }
     }
 
-    /// The heads of a map that agents share, by this map alone, which stay until the next one.
+    /// Scores and deltas of one shared map without fusion. They stay until the next call.
     ///
     /// # Errors
     /// Those of [`Network::heads_alone`], and of the device.

@@ -22,7 +22,7 @@ use serde::{Deserialize, Serialize};
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
 pub struct Settings {
     /// The model file, whose arch fuses; its weights are in the same folder.
-    #[setting(default = "../models/lite-attfuse.toml", role = "model")]
+    #[setting(default = "../models/lite-attfuse.toml", role = "model", filled)]
     pub model: PathBuf,
     /// Collaborators that a fusion takes, the nearest to the ego; null = as many as the model takes.
     pub max_collaborators: Option<usize>,

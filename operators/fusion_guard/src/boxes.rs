@@ -75,8 +75,8 @@ pub struct Judgement {
     pub all: u64,
     /// Those of them dropped because the ego sees that nothing is there.
     pub free: u64,
-    /// The same of boxes, by their places in the message.
-    pub gone: Vec<usize>,
+    /// Indices in the message of the boxes dropped as free; empty for points.
+    pub free_indices: Vec<usize>,
     /// Boxes dropped because no object can have such numbers.
     pub implausible: u64,
     /// Boxes dropped beyond the best `max_boxes`.
@@ -147,7 +147,7 @@ pub fn judge(
         objects: Vec::new(),
         all: boxes.len() as u64,
         free: 0,
-        gone: Vec::new(),
+        free_indices: Vec::new(),
         implausible: boxes.iter().filter(|object| detection_fault(object).is_some()).count() as u64,
         excess: 0,
     };
@@ -231,7 +231,7 @@ impl Judgement {
         for (mut object, known) in theirs.into_iter().zip(seen) {
             if matches!(known, Known::Free | Known::Left) {
                 self.free += 1;
-                self.gone.push(object.index);
+                self.free_indices.push(object.index);
                 continue;
             }
             let at = self.shift.place(&object.center);

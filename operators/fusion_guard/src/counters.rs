@@ -16,11 +16,11 @@ pub(crate) const PLACED_MESSAGES: Counter = Counter::plain(
 );
 pub(crate) const FREE_BOXES: Counter = Counter::plain(
     "free_boxes",
-    "boxes, of a map the cells around them, and points dropped: the ego sees that nothing stands there at its time",
+    "boxes and points dropped, and boxes whose cells were dropped from a map: the ego sees free ground there",
 );
 pub(crate) const UNCHECKED_MESSAGES: Counter = Counter::plain(
     "unchecked_messages",
-    "messages that passed as they are: without a pose, of a payload that the ego cannot compare with its own, or a map without `model`",
+    "messages that passed as they are: without a pose, of a payload that the ego cannot compare with its own, or a map where there is no `model`, or of another one",
 );
 pub(crate) const CONTRADICTED_MESSAGES: Counter = Counter::loss(
     "contradicted_messages",

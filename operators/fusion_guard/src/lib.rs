@@ -2,7 +2,7 @@
 //!
 //! - [`Scene`] are the objects of the ego and of one collaborator; [`search`] finds the motion that brings theirs to the ego's, [`fit`] its
 //!   least squares, [`lay_over`] the same of an agent that says no pose. [`ahead_s`] finds how far a clock is off.
-//! - Of a map of features the boxes are looked at that the heads of its model find in it alone.
+//! - In a BEV map the guard compares the boxes that the model's heads find in that map alone.
 //! - [`View`] is what the ego's own sweep shows: free ground, things that stand, places that it cannot see.
 //! - [`judge`] sorts a collaborator's boxes by both, and says what is kept; [`Record`] is what is known of it from before.
 //! - [`FusionGuard`] is the stage.
@@ -27,7 +27,7 @@ mod constellation;
 mod counters;
 mod entry;
 mod fit;
-mod look;
+mod map_boxes;
 mod objects;
 mod operator;
 mod overlay;

@@ -11,7 +11,7 @@ use crate::boxes::Limits;
 use crate::counters::*;
 use crate::entry::{Entry, Guarded};
 use crate::fit::Noise;
-use crate::look::Looker;
+use crate::map_boxes::MapDetector;
 use crate::record::Record;
 use crate::search::Reach;
 use crate::sight::Sight;
@@ -26,7 +26,7 @@ pub struct Settings {
     /// Whether anything is checked; false: selections pass as they are.
     #[setting(default = true)]
     pub enabled: bool,
-    /// The model file whose heads look at each map of features alone; its weights are in the same folder. Without it maps pass as they are.
+    /// Model file whose heads find boxes in each BEV map by itself; weights in the same folder. Empty: maps pass unchecked.
     #[setting(role = "model", path)]
     pub model: PathBuf,
     /// Whether the fusion moves boxes by their velocities (its `move_boxes`), so that they are compared at the ego's time.
@@ -86,7 +86,7 @@ pub struct Settings {
 pub struct FusionGuard {
     settings: Settings,
     limits: Limits,
-    looker: Option<Looker>,
+    map_detector: Option<MapDetector>,
     ego: Option<Message>,
     sweep: Option<(Header, PointCloud)>,
     records: BTreeMap<Name, (Record, u64)>,
@@ -116,7 +116,7 @@ pub enum Output {
     Selections(Header, Selection),
 }
 
-/// A selection that cannot be checked.
+/// Why a selection cannot be checked.
 #[derive(Debug, thiserror::Error)]
 pub enum GuardError {
     /// The selection came alone.
@@ -124,6 +124,19 @@ pub enum GuardError {
         "a selection without the ego's message of the same set ({0}); wire the message that the bank was asked with to `ego`"
     )]
     Alone(Box<Header>),
+    /// The ego's own map is not as the model's.
+    #[error(
+        "the ego's map does not fit `model`: expected one of {expected}, found one of {found}, {size:?} rows, columns and channels, or one \
+         with values that are not finite; name one model file in the encoder, the guard and the fusion"
+    )]
+    EgoMap {
+        /// The model of the guard.
+        expected: Name,
+        /// That of the map.
+        found: Name,
+        /// Rows, columns and channels of the map.
+        size: [usize; 3],
+    },
 }
 
 impl Operator for FusionGuard {
@@ -144,12 +157,16 @@ impl Operator for FusionGuard {
             max_objects: settings.max_objects,
             moves: settings.move_boxes,
         };
-        let looker = match settings.model.as_os_str().is_empty() {
+        let map_detector = match settings.model.as_os_str().is_empty() {
             true => None,
-            false => Some(Looker::new(&settings.model, &settings.computing)?),
+            false => Some(MapDetector::new(
+                &settings.model,
+                &settings.computing,
+                settings.max_boxes,
+            )?),
         };
         Ok(FusionGuard {
-            looker,
+            map_detector,
             settings,
             limits,
             ego: None,
@@ -190,16 +207,24 @@ impl FusionGuard {
         entries: Vec<Message>,
         out: &mut Outputs<Output>,
     ) -> Result<Vec<Message>, Error> {
-        let shown = self.shown(&ego.payload, out)?;
-        let mut sight = Sight::of(ego, shown, sweep, self.limits.max_boxes);
+        let map_boxes = self.map_boxes(&ego.payload, out)?;
+        if let (Payload::FeatureMap(map), Some(detector), None) = (&ego.payload, &self.map_detector, &map_boxes) {
+            return Err(GuardError::EgoMap {
+                expected: detector.identity().into(),
+                found: map.model.clone(),
+                size: map.size(),
+            }
+            .into());
+        }
+        let mut sight = Sight::of(ego, map_boxes, sweep, self.limits.max_boxes);
         let mut guarded: Vec<Guarded> = Vec::new();
         for entry in entries {
             let record = self.record(&entry.header.agent, ego.header.stamp, out);
-            let shown = self.shown(&entry.payload, out)?;
+            let map_boxes = self.map_boxes(&entry.payload, out)?;
             let entry = Entry::of(
                 &ego.header,
                 entry,
-                shown,
+                map_boxes,
                 &sight.known,
                 &self.limits,
                 self.settings.constellations,
@@ -226,10 +251,10 @@ impl FusionGuard {
         Ok(kept)
     }
 
-    /// The boxes that a map of features shows; `None` for what is none, or cannot be looked at.
-    fn shown(&mut self, payload: &Payload, out: &mut Outputs<Output>) -> Result<Option<Vec<Box3>>, Error> {
-        match (payload, &mut self.looker) {
-            (Payload::FeatureMap(map), Some(looker)) => looker.boxes(map, out.steps()),
+    /// Returns the boxes of a BEV map; `None` if it is not a map, cannot be read, or there is no model.
+    fn map_boxes(&mut self, payload: &Payload, out: &mut Outputs<Output>) -> Result<Option<Vec<Box3>>, Error> {
+        match (payload, &mut self.map_detector) {
+            (Payload::FeatureMap(map), Some(detector)) => detector.boxes(map, out.steps()),
             _ => Ok(None),
         }
     }

@@ -82,7 +82,7 @@ pub(crate) fn judge_points(
         kept: kept.into(),
         objects: Vec::new(),
         free,
-        gone: Vec::new(),
+        free_indices: Vec::new(),
         implausible: 0,
         excess: 0,
         all: cloud.len() as u64,

@@ -30,8 +30,8 @@ pub(crate) struct Sweep<'a> {
 }
 
 impl Sight {
-    /// What a message of the ego and its sweep say; a message of points is a sweep itself, and a map shows boxes.
-    pub fn of(ego: &Message, shown: Option<Vec<Box3>>, sweep: Option<PointCloud>, max_boxes: usize) -> Self {
+    /// What a message of the ego and its sweep say; a message of points is a sweep itself, and a map has boxes.
+    pub fn of(ego: &Message, map_boxes: Option<Vec<Box3>>, sweep: Option<PointCloud>, max_boxes: usize) -> Self {
         let (own, is_points) = match &ego.payload {
             Payload::PointCloud(cloud) => (Some(cloud.clone()), true),
             _ => (None, false),
@@ -40,7 +40,7 @@ impl Sight {
         let view = sweep.as_ref().map(View::of);
         let said = match &ego.payload {
             Payload::Boxes(Boxes(boxes)) => Some(boxes),
-            _ => shown.as_ref(),
+            _ => map_boxes.as_ref(),
         };
         let known = said.map(|boxes| objects(boxes, &Isometry3::identity(), 0.0, max_boxes));
         Sight {

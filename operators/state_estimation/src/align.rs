@@ -152,6 +152,7 @@ mod tests {
                 position: Vector3::new(expected.x, expected.y, 7.0),
                 variance: Vector3::new(2e-4, 2e-4, 1e-3),
                 has_height: true,
+                since_s: None,
             };
             assert!(alignment.follows(&reckoned, &fix, true));
             let jumped = LocalFix {

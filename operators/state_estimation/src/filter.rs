@@ -34,7 +34,7 @@ pub(crate) struct Filter {
     monitor: ImuMonitor,
     /// The last usable sample, and its time since the one before, s.
     imu: Option<(ImuSample, f64)>,
-    last_fix: Option<Vector3<f64>>,
+    last_fix: Option<(Nanos, Vector3<f64>)>,
     /// Since when the wheels stand.
     resting: Option<Nanos>,
     /// The IMU sample whose rest was used last.
@@ -172,9 +172,11 @@ impl Filter {
 
     fn take_fix(&mut self, stamp: Nanos, fix: &LocalFix, rules: &Rules) -> Result<(), Fault> {
         self.advance(stamp, None, rules);
-        if self.last_fix.replace(fix.position) == Some(fix.position) {
+        let before = self.last_fix.replace((stamp, fix.position));
+        if before.is_some_and(|(_, position)| position == fix.position) {
             return Err(Fault::GnssFrozen);
         }
+        let fix = &fix.after(before.map(|(before, _)| before), stamp);
         if !fix.has_height {
             self.faults.note(Fault::GnssHeightZero, stamp);
         }

@@ -66,6 +66,8 @@ struct FixMean {
     count: f64,
     position: Vector3<f64>,
     last: Option<LocalFix>,
+    /// When that was measured.
+    stamp: Option<Nanos>,
 }
 
 /// Mean of scans: a first one, and how far the others are from it.
@@ -147,6 +149,7 @@ impl HoldEstimator {
         if !fix.has_height {
             self.faults.note(Fault::GnssHeightZero, stamp);
         }
+        let fix = &fix.after(self.fixes.stamp.replace(stamp), stamp);
         let last = self.fixes.last.replace(*fix);
         if last.is_some_and(|last| last.position == fix.position) {
             return Err(Fault::GnssFrozen);

@@ -2,6 +2,8 @@
 
 use nalgebra::{Matrix1, Matrix2, Matrix3, Matrix6, RowVector3, SMatrix, Vector1, Vector2, Vector3, Vector6};
 
+use realo_schemas::{Nanos, to_seconds};
+
 use crate::belief::{ATTITUDE, Belief, GYRO_BIAS, POSITION, SCALE, VELOCITY, WANDER, vector_of};
 use crate::correct::Innovation;
 use crate::rules::Rules;
@@ -14,8 +16,6 @@ const SKID_BY_ACCELERATION: f64 = 0.01;
 const STANDING: f64 = 0.01;
 /// Angular rate at a standstill, rad/s: of a body with a running engine.
 const STANDING_RATE: f64 = 5e-4;
-/// Fixes of a receiver a second.
-const FIXES_HZ: f64 = 10.0;
 /// Variance that takes roll and pitch of a scan out of the measurement, rad².
 const UNUSED_TILT: f64 = 100.0;
 
@@ -25,6 +25,8 @@ pub(crate) struct LocalFix {
     pub position: Vector3<f64>,
     pub variance: Vector3<f64>,
     pub has_height: bool,
+    /// Time since the fix before, s; `None` for the first.
+    pub since_s: Option<f64>,
 }
 
 /// A scan's pose with its covariance, in the order of its information.
@@ -35,16 +37,26 @@ pub(crate) struct LocalScan {
 }
 
 impl LocalFix {
+    /// The fix after one that was measured `before`.
+    pub fn after(&self, before: Option<Nanos>, stamp: Nanos) -> Self {
+        let since = before.map(|before| to_seconds(stamp.saturating_sub(before)));
+        LocalFix {
+            since_s: since.filter(|since| *since > 0.0),
+            ..*self
+        }
+    }
+
     /// Standard deviations of what wanders, and variances of the rest.
     ///
-    /// What a receiver reports beyond its unit's is of detours between buildings. Fixes of one detour err alike, so together they say no
-    /// more than one of them.
+    /// Variance above the unit's own comes from multipath. Errors of one multipath period are alike, so all its fixes together count as one.
     pub fn split(&self, rules: &Rules) -> [Vector3<f64>; 2] {
         let noise = &rules.noise;
         let sky = self
             .variance
             .zip_map(&Vector3::from(noise.gnss), |v, unit| v.min(unit * unit));
-        let alike = (2.0 * noise.gnss_detour_s * FIXES_HZ).max(1.0);
+        let alike = self
+            .since_s
+            .map_or(1.0, |since| (2.0 * noise.gnss_multipath_s / since).max(1.0));
         let share = noise.gnss_wander_share;
         [
             sky.map(|v| (share * v).sqrt()),

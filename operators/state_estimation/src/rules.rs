@@ -119,6 +119,7 @@ impl Rules {
             position,
             variance: self.gnss_variance(fix.variance)?,
             has_height: place.height_m != 0.0,
+            since_s: None,
         })
     }
 
@@ -135,6 +136,7 @@ impl Rules {
             position,
             variance: self.gnss_variance(fix.variance)?,
             has_height: fix.has_height,
+            since_s: None,
         })
     }
 

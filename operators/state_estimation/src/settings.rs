@@ -158,7 +158,7 @@ impl Settings {
             ("noise.gnss", east.min(north).min(up)),
             ("noise.gnss", east + north + up),
             ("noise.gnss_wander_s", noise.gnss_wander_s),
-            ("noise.gnss_detour_s", noise.gnss_detour_s),
+            ("noise.gnss_multipath_s", noise.gnss_multipath_s),
             ("noise.wheel", noise.wheel),
             ("noise.wheel_scale", noise.wheel_scale),
             ("earth.gravity", self.earth.gravity),

@@ -120,8 +120,8 @@ pub struct UnitNoise {
     pub gnss_wander_share: f64,
     /// Time over which it wanders, s.
     pub gnss_wander_s: f64,
-    /// How long a detour between buildings lasts, s.
-    pub gnss_detour_s: f64,
+    /// Mean time of a jump between buildings, s.
+    pub gnss_multipath_s: f64,
     /// Noise of wheel speed, m/s.
     pub wheel: f64,
     /// Error of the wheels' circumference, as a share of the speed.
@@ -258,7 +258,7 @@ impl Unit {
             gnss: receiver.deviation_m,
             gnss_wander_share: receiver.wander_share,
             gnss_wander_s: receiver.wander_s,
-            gnss_detour_s: receiver.multipath_lasts_s,
+            gnss_multipath_s: receiver.multipath_lasts_s,
             wheel: wheels.noise,
             wheel_scale: wheels.scale,
         }

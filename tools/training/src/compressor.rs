@@ -1,5 +1,5 @@
-//! The compressor that a training begins with: what crosses are the principal components of the maps of the encoder that it begins with.
-//! From random numbers it would take thousands of steps to come so far.
+//! Initial weights of a compressor: the principal components of the encoder's maps. From random numbers it would take thousands of steps
+//! to come so far.
 
 use std::sync::Arc;
 
@@ -7,7 +7,8 @@ use nalgebra::{DMatrix, DVector, SymmetricEigen};
 use realo_methods::Pillarer;
 use realo_methods::network::{Network as Inference, NetworkOptions};
 use realo_nn::layers::{ConvLayer, Layer};
-use realo_nn::weights::Weights;
+use realo_nn::tensors::{Role, norm_key};
+use realo_nn::weights::{BATCH_NORM_EPS, Weights};
 
 use crate::TrainError;
 use crate::data::{Augmentation, Frames, PlacedSweep, Scene};
@@ -18,7 +19,7 @@ use crate::teacher::FLOOR;
 
 /// Frames whose agents' maps are looked at.
 const FRAMES: usize = 16;
-/// Deviations below the mean from where on a component is cut off: what crosses is not negative.
+/// Standard deviations below the mean at which ReLU cuts a component off.
 const LOWEST: f64 = 4.0;
 
 /// Gives the compressor of a network, if it has one that `start` lacks, the numbers to begin with.
@@ -40,6 +41,7 @@ pub(crate) fn begin(
     let convolutions: Vec<ConvLayer> = convolutions.flatten().collect();
     // A detector alone and a fusion of whole maps have none.
     let [encoder, decoder, _] = &convolutions[..] else {
+        assert!(convolutions.is_empty(), "a compressor of {} layers", convolutions.len());
         return Ok(());
     };
     let has = |layer: &ConvLayer| {
@@ -72,7 +74,8 @@ fn moments(network: &Network, start: &Weights, seed: u64, frames: &Arc<dyn Frame
     let mut pillarer = Pillarer::beside(&inference, &model, &weights);
     let (how, mut draws) = (Augmentation::none(), Stream::new(0, "compressor", 0));
     let mut moments = Moments::of(model.map_channels());
-    for index in 0..frames.len().min(FRAMES) {
+    let looked_at = frames.len().min(FRAMES);
+    for index in (0..looked_at).map(|number| number * frames.len() / looked_at) {
         let frame = frames.load(index)?;
         for agent in &frame.agents {
             let scene = Scene::new(&frame, &[PlacedSweep::exact(agent)], &model, &how, &mut draws);
@@ -124,49 +127,83 @@ impl Moments {
         let taken = order.into_iter().take(count).map(|index| {
             let direction = eigen.eigenvectors.column(index).into_owned();
             let deviation = eigen.eigenvalues[index].max(0.0).sqrt();
-            let shift = LOWEST * deviation - direction.dot(&mean);
-            (direction, shift)
+            (direction, deviation)
         });
-        let (directions, shifts) = taken.unzip();
+        let (directions, deviations) = taken.unzip();
         Principal {
             mean,
             directions,
-            shifts,
+            deviations,
         }
     }
 }
 
-/// A cell as components and back: `component = direction · cell + shift`.
+/// A cell as components and back: `component = direction · (cell - mean) + LOWEST · deviation`.
 struct Principal {
     mean: DVector<f64>,
     directions: Vec<DVector<f64>>,
-    shifts: Vec<f64>,
+    deviations: Vec<f64>,
 }
 
 impl Principal {
     /// Numbers of the compressor's layers by key: the first makes components of a cell, the second a cell of them, the third leaves it.
+    /// Batch norms have the mean and variance of what reaches them, and change nothing.
     fn numbers(&self, layers: &[ConvLayer]) -> Vec<(String, Vec<f32>)> {
-        let components = self.directions.iter().zip(&self.shifts);
-        let back = components.fold(self.mean.clone(), |back, (direction, shift)| {
-            back - direction * (shift + direction.dot(&self.mean))
+        let lowest: Vec<f64> = self.deviations.iter().map(|deviation| LOWEST * deviation).collect();
+        let shifts = self.directions.iter().zip(&lowest);
+        let shifts = shifts.map(|(direction, lowest)| lowest - direction.dot(&self.mean));
+        let components = self.directions.iter().zip(&lowest);
+        let back = components.fold(self.mean.clone(), |back, (direction, lowest)| {
+            back - direction * *lowest
         });
-        let channels = self.mean.len();
+        let variance = |channel: usize| {
+            let parts = self.directions.iter().zip(&self.deviations);
+            parts
+                .map(|(direction, deviation)| (direction[channel] * deviation).powi(2))
+                .sum::<f64>()
+        };
+        let squares = self.deviations.iter().map(|deviation| deviation * deviation);
+        let (mean, variances) = (
+            self.mean.as_slice(),
+            (0..self.mean.len()).map(variance).collect::<Vec<f64>>(),
+        );
         let weights: [&dyn Fn(usize, usize) -> f64; 3] = [
             &|output, input| self.directions[output][input],
             &|output, input| self.directions[input][output],
             &|output, input| f64::from(u8::from(output == input)),
         ];
-        let biases = [self.shifts.clone(), back.as_slice().to_vec(), vec![0.0; channels]];
-        let parts = layers.iter().zip(weights).zip(biases);
-        parts
-            .flat_map(|((layer, weight), bias)| {
-                let bias = bias.iter().map(|value| *value as f32).collect();
-                let bias = layer.bias_key().map(|key| (key, bias));
-                [Some((layer.weight_key(), cell_by_cell(layer, weight))), bias]
-            })
-            .flatten()
-            .collect()
+        let biases = [shifts.collect(), back.as_slice().to_vec(), vec![0.0; mean.len()]];
+        let means = [&lowest[..], mean, mean];
+        let variances = [squares.collect(), variances.clone(), variances];
+        let mut numbers = Vec::new();
+        for (place, layer) in layers.iter().enumerate() {
+            numbers.push((layer.weight_key(), cell_by_cell(layer, weights[place])));
+            numbers.extend(layer.bias_key().map(|key| (key, singles(&biases[place]))));
+            if let Some(norm) = &layer.norm {
+                numbers.extend(unchanging(norm, means[place], &variances[place]));
+            }
+        }
+        numbers
     }
+}
+
+fn singles(numbers: &[f64]) -> Vec<f32> {
+    numbers.iter().map(|number| *number as f32).collect()
+}
+
+/// A batch norm that gives what has this mean and variance as it is.
+fn unchanging(norm: &str, mean: &[f64], variance: &[f64]) -> [(String, Vec<f32>); 4] {
+    let deviations: Vec<f64> = variance
+        .iter()
+        .map(|v| (v + f64::from(BATCH_NORM_EPS)).sqrt())
+        .collect();
+    [
+        (Role::NormWeight, singles(&deviations)),
+        (Role::NormBias, singles(mean)),
+        (Role::RunningMean, singles(mean)),
+        (Role::RunningVariance, singles(variance)),
+    ]
+    .map(|(part, numbers)| (norm_key(norm, part), numbers))
 }
 
 /// Weights of a convolution that looks at nothing but the cell itself.
@@ -194,21 +231,40 @@ mod tests {
             stride: 1,
             transposed: false,
             bias: true,
-            norm: None,
+            norm: Some(format!("{key}.norm")),
             relu: true,
         }
     }
 
-    /// The middle of a convolution on one cell, with ReLU.
-    fn run(layer: &ConvLayer, numbers: &[(String, Vec<f32>)], cell: &[f32]) -> Vec<f32> {
+    /// The middle of a convolution on cells, with its batch norm, by running statistics or those of the cells, and ReLU.
+    fn run(layer: &ConvLayer, numbers: &[(String, Vec<f32>)], cells: &[Vec<f32>], by_batch: bool) -> Vec<Vec<f32>> {
         let of = |key: &str| &numbers.iter().find(|(name, _)| name == key).expect("numbers").1;
         let (weight, bias) = (of(&layer.weight_key()), of(&layer.bias_key().expect("it has biases")));
-        let output = |output: usize| {
+        let part = |part: Role| of(&norm_key(layer.norm.as_ref().expect("a norm"), part));
+        let convolved = |cell: &Vec<f32>, output: usize| {
             let products = cell.iter().enumerate();
             let products = products.map(|(input, value)| value * weight[(output * layer.inputs + input) * 9 + 4]);
-            (products.sum::<f32>() + bias[output]).max(0.0)
+            products.sum::<f32>() + bias[output]
         };
-        (0..layer.outputs).map(output).collect()
+        let normed = |output: usize| {
+            let made: Vec<f32> = cells.iter().map(|cell| convolved(cell, output)).collect();
+            let count = made.len() as f32;
+            let mean = made.iter().sum::<f32>() / count;
+            let variance = made.iter().map(|value| (value - mean).powi(2)).sum::<f32>() / count;
+            let (mean, variance) = match by_batch {
+                true => (mean, variance),
+                false => (part(Role::RunningMean)[output], part(Role::RunningVariance)[output]),
+            };
+            let factor = part(Role::NormWeight)[output] / (variance + BATCH_NORM_EPS).sqrt();
+            let to = part(Role::NormBias)[output];
+            made.into_iter()
+                .map(move |value| (factor * (value - mean) + to).max(0.0))
+                .collect::<Vec<f32>>()
+        };
+        let channels: Vec<Vec<f32>> = (0..layer.outputs).map(normed).collect();
+        (0..cells.len())
+            .map(|cell| channels.iter().map(|channel| channel[cell]).collect())
+            .collect()
     }
 
     #[test]
@@ -224,11 +280,17 @@ mod tests {
         cells.iter().for_each(|cell| moments.add(cell, 0.5));
         let layers = [layer("a", 4, 2), layer("b", 2, 4), layer("c", 4, 4)];
         let numbers = moments.principal(2).numbers(&layers);
-        for cell in &cells {
-            let crossed = run(&layers[0], &numbers, cell);
-            let back = run(&layers[2], &numbers, &run(&layers[1], &numbers, &crossed));
-            let off = cell.iter().zip(&back).map(|(a, b)| (a - b).abs());
-            assert!(off.fold(0.0, f32::max) < 1e-3, "{cell:?} came back as {back:?}");
+        for by_batch in [false, true] {
+            let back = layers
+                .iter()
+                .fold(cells.clone(), |cells, layer| run(layer, &numbers, &cells, by_batch));
+            for (cell, back) in cells.iter().zip(&back) {
+                let off = cell.iter().zip(back).map(|(a, b)| (a - b).abs());
+                assert!(
+                    off.fold(0.0, f32::max) < 5e-3,
+                    "{cell:?} came back as {back:?}, by_batch {by_batch}"
+                );
+            }
         }
     }
 }

@@ -32,8 +32,8 @@ const TRAINING_SEEDS: u64 = 800;
 pub struct TrainOptions {
     /// The model file.
     pub model: PathBuf,
-    /// The model file with weights to begin with; what they lack begins at random, but a compressor
-    /// as principal components of maps.
+    /// The model file with weights to begin with; missing tensors begin at random, a missing
+    /// compressor as the principal components of the encoder's maps.
     pub from: Option<PathBuf>,
     /// The model file of a detector whose maps of all points together are an example for the map that the heads read.
     pub teacher: Option<PathBuf>,

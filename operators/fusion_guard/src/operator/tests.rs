@@ -5,7 +5,7 @@ use proptest::prelude::*;
 use realo_operator::PortId;
 use realo_schemas::geometry::{relative, transform_box};
 use realo_schemas::report::Fate;
-use realo_schemas::{Box3, Boxes, Kind, Pose};
+use realo_schemas::{Box3, Boxes, DType, FeatureMap, Kind, Pose};
 
 use super::*;
 use crate::cells::tests::BLOCKS;
@@ -354,6 +354,98 @@ fn points_are_laid_over_the_egos_own_and_ghosts_among_them_are_gone() {
         own.len()
     );
     assert_eq!(out.counted("corrected_messages"), 1);
+}
+
+/// Features of a map of `lite-attfuse` of a size, by a number that tells the feature.
+fn map(model: &str, [rows, columns, channels]: [usize; 3], feature: impl Fn(usize) -> f32) -> FeatureMap {
+    let numbers = (0..rows * columns * channels).flat_map(|at| feature(at).to_le_bytes());
+    FeatureMap {
+        rows: rows as u32,
+        columns: columns as u32,
+        channels: channels as u32,
+        cell: 0.8,
+        origin: [-102.4, -40.0],
+        dtype: DType::F32,
+        data: numbers.collect::<Vec<u8>>().into(),
+        model: model.into(),
+        confidence: None,
+    }
+}
+
+/// Feeds a set of maps; the error, or the agents whose maps are given on.
+fn guard_maps(
+    operator: &mut FusionGuard,
+    ego: FeatureMap,
+    theirs: Vec<(&str, FeatureMap)>,
+) -> (Result<Vec<Name>, String>, Outputs<Output>) {
+    let mut out = Outputs::at(200 * MS);
+    let header_of = |agent: &str, place| Header {
+        kind: Kind::Features,
+        ..header(agent, 7, 100 * MS, Some(at(place)))
+    };
+    let asked = header_of("cav1", EGO);
+    let entries = theirs
+        .into_iter()
+        .map(|(agent, map)| Message::new(header_of(agent, SENDER), map));
+    let entries = entries.collect();
+    operator
+        .on_message(Input::EGO, Message::new(asked.clone(), ego), &mut out)
+        .unwrap();
+    operator
+        .on_message(Input::CLOUDS, Message::new(asked.clone(), empty_ground()), &mut out)
+        .unwrap();
+    let selection = Message::new(asked, Selection { query: 7, entries });
+    let done = operator.on_message(Input::SELECTIONS, selection, &mut out);
+    let kept = done.map_err(|error| error.to_string()).map(|()| {
+        let (_, selection) = out.take_sent().remove(0).1.into_parts::<Selection>().unwrap();
+        selection.entries.into_iter().map(|entry| entry.header.agent).collect()
+    });
+    (kept, out)
+}
+
+#[test]
+fn a_map_that_does_not_fit_stops_nobody_and_one_of_the_egos_is_an_error() {
+    let model = concat!(env!("CARGO_MANIFEST_DIR"), "/../../models/lite-attfuse.toml");
+    let settings = Settings {
+        model: model.into(),
+        ..Settings::default()
+    };
+    let identity = settings.computing.load(&settings.model).unwrap().identity;
+    let mut operator = FusionGuard::new(settings).unwrap();
+    let whole = [100, 256, 64];
+    let empty = map(&identity, whole, |_| 0.0);
+    let odd = [
+        map(&identity, [1, 1, 1], |_| 0.0),
+        map("other-1", whole, |_| 0.0),
+        map(&identity, whole, |at| if at == 77 { f32::NAN } else { 0.0 }),
+    ];
+    for odd in odd {
+        let theirs = vec![("rsu1", empty.clone()), ("cav2", odd.clone())];
+        let (kept, out) = guard_maps(&mut operator, empty.clone(), theirs);
+        assert_eq!(kept.unwrap(), [Name::from("rsu1"), "cav2".into()]);
+        assert_eq!(
+            out.counted("unchecked_messages"),
+            1,
+            "the fusion says what is wrong with it"
+        );
+        let (kept, _) = guard_maps(&mut operator, odd, vec![("rsu1", empty.clone())]);
+        let error = kept.unwrap_err();
+        assert!(
+            error.contains("does not fit `model`") && error.contains(&identity),
+            "{error}"
+        );
+    }
+    // Features that no encoder made show boxes where nothing stands.
+    let noise = map(&identity, whole, |at| ((at * 2_654_435_761) % 1000) as f32 / 200.0);
+    for _ in 0..2 {
+        let theirs = vec![("rsu1", empty.clone()), ("cav2", noise.clone())];
+        let (kept, out) = guard_maps(&mut operator, empty.clone(), theirs);
+        assert_eq!(kept.unwrap(), [Name::from("rsu1")]);
+        assert_eq!(
+            out.counted("contradicted_messages") + out.counted("distrusted_messages"),
+            1
+        );
+    }
 }
 
 proptest! {

@@ -147,7 +147,7 @@ impl Network {
         Ok(self.heads_alone(map)?.confidence())
     }
 
-    /// The heads of a map that agents share, by this map alone, as [`Network::confidence`].
+    /// Scores and deltas of one shared map without fusion. They stay until the next call.
     ///
     /// # Errors
     /// Those of [`Network::heads`].

@@ -15,9 +15,11 @@ pub(super) fn registration(node: &FlatNode) -> Option<&'static Registration> {
 
 /// The argument of a node that something of a run decides. A stage that may have a network and names no model runs none.
 pub fn decided_argument(node: &FlatNode, role: &'static str) -> Option<&'static str> {
-    let name = registration(node)?.setting(role)?;
-    let runs_none = role == roles::MODEL && argument(node, name).is_some_and(|model| model.is_empty());
-    (!runs_none).then_some(name)
+    let known = registration(node)?;
+    let is_of_networks = [roles::MODEL, roles::ISA, roles::PRECISION, roles::DEVICE].contains(&role);
+    let model = known.setting(roles::MODEL).and_then(|model| argument(node, model));
+    let runs_none = is_of_networks && model.is_some_and(|model| model.is_empty());
+    known.setting(role).filter(|_| !runs_none)
 }
 
 /// The nodes with an argument that something of a run decides.

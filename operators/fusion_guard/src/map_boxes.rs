@@ -1,54 +1,68 @@
-//! What a map of features shows by itself: the boxes that the heads of its model find in it.
+//! The boxes of a BEV map: those that the heads of its model find in it alone.
 
 use std::path::Path;
 
 use nalgebra::Vector2;
 use realo_bev::{Computing, Decoder, Engine, Maps};
 use realo_nn::anchors::Anchors;
+use realo_nn::layers::Layers;
 use realo_operator::{Error, Steps};
-use realo_schemas::geometry::{Footprint, iou_exceeds};
+use realo_schemas::geometry::{Footprint, detection_fault, iou_exceeds};
 use realo_schemas::{Box3, Elements, FeatureMap};
 
 /// A box is a duplicate if it overlaps more than this with a better one.
 const DUPLICATE: f64 = 0.15;
-/// What is dropped of a map around a box that is not there, m: its features lie in cells around it, too.
+/// Features of a box lie in cells around it, too, m.
 const AROUND_M: f64 = 0.8;
 
-/// Reads maps of one model.
-pub(crate) struct Looker {
+/// Finds boxes in maps of one model.
+pub(crate) struct MapDetector {
     engine: Engine,
     decoder: Decoder,
     maps: Maps,
+    /// Rows, columns and channels.
+    size: [usize; 3],
+    max_boxes: usize,
 }
 
-impl Looker {
-    /// For the maps of a model file.
+impl MapDetector {
+    /// For the maps of a model file; at most the best `max_boxes` of each.
     ///
     /// # Errors
     /// A file that is not a model, or kernels that this machine or the model does not have.
-    pub fn new(model: &Path, computing: &Computing) -> Result<Self, Error> {
+    pub fn new(model: &Path, computing: &Computing, max_boxes: usize) -> Result<Self, Error> {
         let loaded = computing.load(model)?;
-        Ok(Looker {
+        let layers = Layers::of(&loaded.model);
+        Ok(MapDetector {
             decoder: Decoder::new(Anchors::of(&loaded.model), loaded.model.score_threshold),
             maps: Maps::of(&loaded),
+            size: layers.size(layers.features),
             engine: Engine::new(loaded, computing.device, Elements::F32)?,
+            max_boxes,
         })
     }
 
-    /// The boxes that a map shows, best first; `None` for one that is not of the model or that no network makes, which fusions reject.
+    /// Name and digest of the model.
+    pub fn identity(&self) -> &str {
+        &self.maps.identity
+    }
+
+    /// Returns the boxes of a map, best first. `None` if the map does not fit the model or has values that are not finite or beyond 1e15;
+    /// fusions reject such maps.
     ///
     /// # Errors
     /// Those of the device.
     pub fn boxes(&mut self, map: &FeatureMap, steps: &mut Steps) -> Result<Option<Vec<Box3>>, Error> {
-        let Some(map) = self.maps.read(map).ok().filter(|map| map.is_sound()) else {
+        let read = self.maps.read(map).ok();
+        let Some(map) = read.filter(|map| map.size() == self.size && map.is_sound()) else {
             return Ok(None);
         };
         let heads = self.engine.heads_alone(map.view(), steps)?;
         let found = self.decoder.decode(&heads.scores, &heads.deltas).boxes;
         let mut kept: Vec<(Footprint, Box3)> = Vec::new();
-        for object in found {
+        for object in found.into_iter().filter(|object| detection_fault(object).is_none()) {
             let ground = Footprint::of(&object);
-            if !kept.iter().any(|(better, _)| iou_exceeds(better, &ground, DUPLICATE)) {
+            if kept.len() < self.max_boxes && !kept.iter().any(|(better, _)| iou_exceeds(better, &ground, DUPLICATE)) {
                 kept.push((ground, object));
             }
         }
@@ -56,31 +70,37 @@ impl Looker {
     }
 }
 
-/// A map without the cells of some boxes: its sender takes no part in what is said of them.
-pub(crate) fn without(map: &FeatureMap, boxes: &[&Box3]) -> FeatureMap {
-    if boxes.is_empty() {
+/// A map of f32 without the cells of some boxes: their features are 0, and the sender takes no part in what is said of them.
+pub(crate) fn without_cells_of(boxes: &[&Box3], map: &FeatureMap) -> FeatureMap {
+    let (false, Ok(numbers)) = (boxes.is_empty(), map.numbers()) else {
         return map.clone();
-    }
-    let (rows, columns) = (map.rows as usize, map.columns as usize);
+    };
+    let (columns, channels) = (map.columns as usize, map.channels as usize);
+    let mut numbers = numbers.into_owned();
     let mut confidence = match &map.confidence {
         Some(confidence) => confidence.to_vec(),
-        None => vec![1.0; rows * columns],
+        None => vec![1.0; map.rows as usize * columns],
     };
-    for (at, confidence) in confidence.iter_mut().enumerate() {
+    for (at, (confidence, features)) in confidence
+        .iter_mut()
+        .zip(numbers.chunks_exact_mut(channels))
+        .enumerate()
+    {
         let center = |cell: usize, axis: usize| map.origin[axis] + (cell as f64 + 0.5) * map.cell;
         let place = Vector2::new(center(at % columns, 0), center(at / columns, 1));
-        if boxes.iter().any(|object| is_at(object, &place)) {
+        if boxes.iter().any(|object| covers(object, &place)) {
             *confidence = 0.0;
+            features.fill(0.0);
         }
     }
     FeatureMap {
         confidence: Some(confidence.into()),
-        ..map.clone()
+        ..map.with_numbers(numbers)
     }
 }
 
 /// Whether a place is on a box's ground, or next to it.
-fn is_at(object: &Box3, place: &Vector2<f64>) -> bool {
+fn covers(object: &Box3, place: &Vector2<f64>) -> bool {
     let (sin, cos) = libm::sincos(object.yaw);
     let (x, y) = (place.x - object.center[0], place.y - object.center[1]);
     let [along, across] = [x * cos + y * sin, y * cos - x * sin];
@@ -102,23 +122,27 @@ mod tests {
             cell: 0.5,
             origin: [-10.0, -5.0],
             dtype: DType::F32,
-            data: vec![0u8; 4 * 20 * 40].into(),
+            data: 7f32.to_le_bytes().repeat(20 * 40).into(),
             model: "lite-1".into(),
             confidence: None,
         };
         let object = Box3::new("Car", [2.0, -1.0, 0.8], [4.0, 1.9, 1.6], std::f64::consts::FRAC_PI_2);
-        let left = without(&map, &[&object]);
+        let left = without_cells_of(&[&object], &map);
         let at = |x: f64, y: f64| {
             let [column, row] = [(x + 10.0) / 0.5, (y + 5.0) / 0.5].map(|cell| cell as usize);
-            left.confidence.as_ref().expect("cells are gone")[row * 40 + column]
+            let feature = left.numbers().expect("it can be read")[row * 40 + column];
+            (
+                left.confidence.as_ref().expect("cells are gone")[row * 40 + column],
+                feature,
+            )
         };
-        assert_eq!([at(2.1, -1.1), at(2.1, 1.6), at(0.4, -3.6)], [0.0; 3]);
-        assert_eq!([at(2.1, 2.1), at(-0.1, -1.1), at(-9.9, -4.9)], [1.0; 3]);
-        assert_eq!(without(&map, &[]), map);
+        assert_eq!([at(2.1, -1.1), at(2.1, 1.6), at(0.4, -3.6)], [(0.0, 0.0); 3]);
+        assert_eq!([at(2.1, 2.1), at(-0.1, -1.1), at(-9.9, -4.9)], [(1.0, 7.0); 3]);
+        assert_eq!(without_cells_of(&[], &map), map);
         let of_less = FeatureMap {
             confidence: Some(vec![0.0; 800].into()),
             ..map
         };
-        assert_eq!(without(&of_less, &[&object]).confidence, of_less.confidence);
+        assert_eq!(without_cells_of(&[&object], &of_less).confidence, of_less.confidence);
     }
 }
