@@ -181,3 +181,42 @@ pub(crate) fn scan_pose(belief: &Belief, rules: &Rules, scan: &LocalScan) -> Inn
         .with(POSITION, &SMatrix::<f64, 6, 3>::identity())
         .with(ATTITUDE, &attitude)
 }
+
+#[cfg(test)]
+mod tests {
+    use realo_geodesy::{Geodetic, LocalFrame};
+
+    use super::*;
+    use crate::{Settings, Unit};
+
+    #[test]
+    fn what_a_receiver_reports_beyond_its_unit_counts_once_in_a_multipath_period() {
+        let rules = Rules::new(Settings::new(
+            Unit::Consumer,
+            LocalFrame::new(Geodetic::default()).unwrap(),
+        ));
+        let own = rules.noise.gnss[0] * rules.noise.gnss[0];
+        let share = rules.noise.gnss_wander_share;
+        let lasts = 2.0 * rules.noise.gnss_multipath_s;
+        // Reported variance beside the unit's, interval of fixes; wandering variance, and the rest.
+        for (times, since, wanders, rest) in [
+            (1.0, Some(0.1), share, 1.0 - share),
+            (0.25, Some(0.1), 0.25 * share, 0.25 * (1.0 - share)),
+            (4.0, Some(0.1), share, 1.0 - share + 3.0 * lasts / 0.1),
+            (4.0, Some(1.0), share, 1.0 - share + 3.0 * lasts),
+            (4.0, Some(60.0), share, 1.0 - share + 3.0),
+            (4.0, None, share, 1.0 - share + 3.0),
+        ] {
+            let fix = LocalFix {
+                position: Vector3::zeros(),
+                variance: Vector3::from(rules.noise.gnss.map(|sigma| times * sigma * sigma)),
+                has_height: true,
+                since_s: since,
+            };
+            let [wander, white] = fix.split(&rules);
+            let found = [wander.x * wander.x / own, white.x / own];
+            let off = (found[0] - wanders).abs().max((found[1] - rest).abs());
+            assert!(off < 1e-9 * rest.max(1.0), "{times} {since:?}: {found:?}");
+        }
+    }
+}

@@ -130,23 +130,23 @@ fn streams(draws: &mut Draws, seconds: f64, offset: Nanos, noise: [f64; 2]) -> S
 fn motion_shows_an_offset_within_five_milliseconds() {
     for (name, noise) in [("consumer", [2.4e-3, 1.7e-3]), ("tactical", [2e-4, 1.7e-3])] {
         let mut found = Vec::new();
-        let mut straight = 0;
+        let mut without = 0;
         for seed in 0..300 {
             let mut draws = Draws::new(seed);
             let offset = from_seconds(0.15 * draws.normal().clamp(-2.5, 2.5));
             let streams = streams(&mut draws, 60.0, offset, noise);
             match motion_offset(&streams.rates, &streams.headings, &MotionLimits::default()) {
                 Ok(estimate) => found.push((estimate, offset)),
-                Err(NoMotionOffset::Straight { .. } | NoMotionOffset::Ambiguous(_)) => straight += 1,
+                Err(NoMotionOffset::Straight { .. } | NoMotionOffset::Ambiguous(_)) => without += 1,
                 Err(error) => panic!("seed {seed}: {error}"),
             }
         }
         let (held, bound) = share(&found);
         println!(
-            "motion, {name}: {held:.3} of {} within, mean bound {bound:.2} ms; {straight} without",
+            "motion, {name}: {held:.3} of {} within, mean bound {bound:.2} ms; {without} without",
             found.len()
         );
-        assert!(held >= 0.95 && bound <= 3.0 && straight < 30, "{name}");
+        assert!(held >= 0.95 && bound <= 3.0 && without <= 30, "{name}");
         assert!(found.iter().all(|(offset, _)| offset.bound <= 5 * MS));
     }
 }
