@@ -71,7 +71,7 @@ fn messages_of_each_kind_go_there_and_back_and_the_way_is_replayed() {
         "--link",
         profile.to_str().expect("UTF-8"),
     ];
-    let result = run_virtual("latency_replayed", "late_fusion", &log, &link);
+    let result = run_virtual("latency_replayed", "late_fusion", &super::log(), &link);
     let books = &result["links"]["rsu1-cav1"]["boxes"];
     assert!(books["used"].as_u64() > Some(20) && books["lost"] == 0, "{books}");
 }
