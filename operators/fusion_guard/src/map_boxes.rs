@@ -109,23 +109,23 @@ fn covers(object: &Box3, place: &Vector2<f64>) -> bool {
 
 #[cfg(test)]
 mod tests {
-    use realo_schemas::DType;
+    use realo_kernels::bev::BevMap;
 
     use super::*;
 
     #[test]
     fn cells_of_a_box_and_around_it_are_gone_and_no_others() {
-        let map = FeatureMap {
+        let maps = Maps {
+            identity: "lite-1".into(),
+            origin: [-10.0, -5.0],
+            cell: 0.5,
+        };
+        let map = maps.write(BevMap {
             rows: 20,
             columns: 40,
             channels: 1,
-            cell: 0.5,
-            origin: [-10.0, -5.0],
-            dtype: DType::F32,
-            data: 7f32.to_le_bytes().repeat(20 * 40).into(),
-            model: "lite-1".into(),
-            confidence: None,
-        };
+            data: vec![7.0; 20 * 40],
+        });
         let object = Box3::new("Car", [2.0, -1.0, 0.8], [4.0, 1.9, 1.6], std::f64::consts::FRAC_PI_2);
         let left = without_cells_of(&[&object], &map);
         let at = |x: f64, y: f64| {

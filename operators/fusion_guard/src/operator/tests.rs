@@ -2,10 +2,12 @@ use std::sync::LazyLock;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use proptest::prelude::*;
+use realo_bev::Maps;
+use realo_kernels::bev::BevMap;
 use realo_operator::PortId;
 use realo_schemas::geometry::{relative, transform_box};
 use realo_schemas::report::Fate;
-use realo_schemas::{Box3, Boxes, DType, FeatureMap, Kind, Pose};
+use realo_schemas::{Box3, Boxes, FeatureMap, Kind, Pose};
 
 use super::*;
 use crate::cells::tests::BLOCKS;
@@ -356,20 +358,14 @@ fn points_are_laid_over_the_egos_own_and_ghosts_among_them_are_gone() {
     assert_eq!(out.counted("corrected_messages"), 1);
 }
 
-/// Features of a map of `lite-attfuse` of a size, by a number that tells the feature.
-fn map(model: &str, [rows, columns, channels]: [usize; 3], feature: impl Fn(usize) -> f32) -> FeatureMap {
-    let numbers = (0..rows * columns * channels).flat_map(|at| feature(at).to_le_bytes());
-    FeatureMap {
-        rows: rows as u32,
-        columns: columns as u32,
-        channels: channels as u32,
-        cell: 0.8,
-        origin: [-102.4, -40.0],
-        dtype: DType::F32,
-        data: numbers.collect::<Vec<u8>>().into(),
-        model: model.into(),
-        confidence: None,
-    }
+/// A map of a size, by a number that tells the feature.
+fn map(maps: &Maps, [rows, columns, channels]: [usize; 3], feature: impl Fn(usize) -> f32) -> FeatureMap {
+    maps.write(BevMap {
+        rows,
+        columns,
+        channels,
+        data: (0..rows * columns * channels).map(feature).collect(),
+    })
 }
 
 /// Feeds a set of maps; the error, or the agents whose maps are given on.
@@ -410,14 +406,18 @@ fn a_map_that_does_not_fit_stops_nobody_and_one_of_the_egos_is_an_error() {
         model: model.into(),
         ..Settings::default()
     };
-    let identity = settings.computing.load(&settings.model).unwrap().identity;
+    let maps = Maps::of(&settings.computing.load(&settings.model).unwrap());
+    let others = Maps {
+        identity: "other-1".into(),
+        ..maps.clone()
+    };
     let mut operator = FusionGuard::new(settings).unwrap();
     let whole = [100, 256, 64];
-    let empty = map(&identity, whole, |_| 0.0);
+    let empty = map(&maps, whole, |_| 0.0);
     let odd = [
-        map(&identity, [1, 1, 1], |_| 0.0),
-        map("other-1", whole, |_| 0.0),
-        map(&identity, whole, |at| if at == 77 { f32::NAN } else { 0.0 }),
+        map(&maps, [1, 1, 1], |_| 0.0),
+        map(&others, whole, |_| 0.0),
+        map(&maps, whole, |at| if at == 77 { f32::NAN } else { 0.0 }),
     ];
     for odd in odd {
         let theirs = vec![("rsu1", empty.clone()), ("cav2", odd.clone())];
@@ -431,12 +431,12 @@ fn a_map_that_does_not_fit_stops_nobody_and_one_of_the_egos_is_an_error() {
         let (kept, _) = guard_maps(&mut operator, odd, vec![("rsu1", empty.clone())]);
         let error = kept.unwrap_err();
         assert!(
-            error.contains("does not fit `model`") && error.contains(&identity),
+            error.contains("does not fit `model`") && error.contains(&*maps.identity),
             "{error}"
         );
     }
     // Features that no encoder made show boxes where nothing stands.
-    let noise = map(&identity, whole, |at| ((at * 2_654_435_761) % 1000) as f32 / 200.0);
+    let noise = map(&maps, whole, |at| ((at * 2_654_435_761) % 1000) as f32 / 200.0);
     for _ in 0..2 {
         let theirs = vec![("rsu1", empty.clone()), ("cav2", noise.clone())];
         let (kept, out) = guard_maps(&mut operator, empty.clone(), theirs);
