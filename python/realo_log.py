@@ -33,6 +33,8 @@ BRIGHTEST = 255, 1023, 4095, 65535
 FARTHEST = 100_000
 # No place lies farther from the origin of a map, m: twice around the Earth.
 WORLD = 80_000_000
+# Frames of motion sensors, by their streams.
+FRAMES = {"imu": "imu", "fix": "antenna", "wheels": "axle"}
 # Names are parts of topics, folders and frames.
 NAME = re.compile(r"[A-Za-z0-9_]([A-Za-z0-9_.-]{0,62}[A-Za-z0-9_-])?")
 # From here on floats skip whole numbers.
@@ -52,6 +54,18 @@ DEFINITIONS = {
     "geometry_msgs/Pose": "geometry_msgs/Point position\ngeometry_msgs/Quaternion orientation\n",
     "geometry_msgs/PoseWithCovariance": "geometry_msgs/Pose pose\nfloat64[36] covariance\n",
     "geometry_msgs/PoseWithCovarianceStamped": "std_msgs/Header header\ngeometry_msgs/PoseWithCovariance pose\n",
+    "geometry_msgs/Twist": "geometry_msgs/Vector3 linear\ngeometry_msgs/Vector3 angular\n",
+    "geometry_msgs/TwistWithCovariance": "geometry_msgs/Twist twist\nfloat64[36] covariance\n",
+    "geometry_msgs/TwistWithCovarianceStamped": "std_msgs/Header header\ngeometry_msgs/TwistWithCovariance twist\n",
+    "geometry_msgs/Transform": "geometry_msgs/Vector3 translation\ngeometry_msgs/Quaternion rotation\n",
+    "geometry_msgs/TransformStamped": "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n",
+    "tf2_msgs/TFMessage": "geometry_msgs/TransformStamped[] transforms\n",
+    "sensor_msgs/Imu": "std_msgs/Header header\ngeometry_msgs/Quaternion orientation\nfloat64[9] orientation_covariance\n"
+    "geometry_msgs/Vector3 angular_velocity\nfloat64[9] angular_velocity_covariance\n"
+    "geometry_msgs/Vector3 linear_acceleration\nfloat64[9] linear_acceleration_covariance\n",
+    "sensor_msgs/NavSatStatus": "int8 status\nuint16 service\n",
+    "sensor_msgs/NavSatFix": "std_msgs/Header header\nsensor_msgs/NavSatStatus status\nfloat64 latitude\nfloat64 longitude\n"
+    "float64 altitude\nfloat64[9] position_covariance\nuint8 position_covariance_type\n",
     "vision_msgs/ObjectHypothesis": "string class_id\nfloat64 score\n",
     "vision_msgs/ObjectHypothesisWithPose":
     "vision_msgs/ObjectHypothesis hypothesis\ngeometry_msgs/PoseWithCovariance pose\n",
@@ -188,6 +202,25 @@ def rotation(where, name, values):
         refuse(where, name, "a unit quaternion x y z w", f"{q.tolist()} of length {norm:.3f}", advice)
     # A unit quaternion keeps its bits.
     return q if abs(norm * norm - 1) < 1e-12 else q / norm
+
+
+def variance(where, name, value):
+    """A variance; 0, which says that it is unknown, for None."""
+    found = doubles(where, name, [0 if value is None else value], 1)
+    between(where, name, found, 0, np.inf, "a variance is a standard deviation squared")
+    if value is not None and not found[0]:
+        refuse(where, name, "a variance above 0", "0", "no sensor is exact; None says that it is not known")
+    return float(found[0])
+
+
+def geodetic(where, name, values):
+    """Latitude and longitude on WGS 84, degrees, and height over its ellipsoid, m."""
+    if any(getattr(of, "dtype", np.dtype("f8")).itemsize < 8 for of in [values, *values]):
+        refuse(where, name, "float64", "single precision, whose degrees are half a metre apart", "compute and keep it in float64")
+    place = doubles(where, name, values, 3)
+    for part, at, most in ("latitude", 0, 90), ("longitude", 1, 360), ("height", 2, 100_000):
+        between(where, f"{name} ({part})", place[at:at + 1], -most, most, "degrees north, degrees east, metres over the ellipsoid")
+    return place
 
 
 def nanos(where, name, value):
@@ -380,7 +413,8 @@ class Cdr:
 
     def __init__(self, stamp, frame):
         self.bytes = bytearray(b"\0\1\0\0")
-        self.header(stamp, frame)
+        if frame is not None:
+            self.header(stamp, frame)
 
     def align(self, size):
         self.bytes += bytes(-(len(self.bytes) - 4) % size)
@@ -447,10 +481,12 @@ class LogWriter:
     """Writes one log; `close` writes the index and gives the file its name.
 
     Until then it is `PATH.PID.partial`. An exception inside of `with` removes it; what was at the path before stays.
-    `force` replaces a file there that is not a log of realo. `clock="other"`: stamps do not count from 1970.
+    `force` replaces a file there that is not a log of realo. `clock="other"`: stamps do not count from 1970. `map_origin`: where the
+    map's origin is, as in `fix`, which needs it.
     """
 
-    def __init__(self, path, agents, source, protocol="default", key_frames="all", map_frame="map", force=False, clock="1970"):
+    def __init__(self, path, agents, source, protocol="default", key_frames="all", map_frame="map", force=False, clock="1970",
+                 map_origin=None):
         self.map_frame, self.clock, self.first = some_text("LogWriter", "map_frame", map_frame), clock, None
         if clock not in ("1970", "other"):
             refuse("LogWriter", "clock", "1970 or other", f"{clock!r}", "stamps since 1970 are the rule")
@@ -464,6 +500,9 @@ class LogWriter:
         about = {"format": "1", "program": "realo_log.py", "source": source, "protocol": protocol,
                  "agents": json.dumps(agents), "map_frame": map_frame, "key_frames": key_frames}
         about = {key: plain_text("LogWriter", key, value) for key, value in about.items()}
+        self.mounted, self.has_origin = {}, map_origin is not None
+        if self.has_origin:
+            about["map_origin"] = json.dumps(geodetic("LogWriter", "map_origin", map_origin).tolist())
         self.path = os.path.realpath(path)
         # A device has no name to take.
         whole_file = not os.path.exists(self.path) or os.path.isfile(self.path)
@@ -551,6 +590,71 @@ class LogWriter:
             refuse(where, "covariance", "a symmetric matrix", f"{np.abs(square - square.T).max()} between its halves", advice)
         cdr.fixed(covariance)
         self.write(agent, "pose_truth" if flag(where, "truth", truth) else "pose", "geometry_msgs/PoseWithCovarianceStamped", stamp, ready, cdr)
+
+    def mount(self, agent, stream, position, quaternion=(0, 0, 0, 1)):
+        """How an agent's motion sensor of a stream (`imu`, `fix`, `wheels`) lies in its body frame, m. Once, before its first message."""
+        self.known(agent)
+        where = f"mount of `{agent}`"
+        if stream not in FRAMES:
+            refuse(where, "stream", "imu, fix or wheels", f"{stream!r}", "other sensors are in the body frame")
+        position = doubles(where, "position", position, 3)
+        between(where, "position", position, -30, 30, "metres from the origin of the body frame")
+        if (agent, stream) in self.mounted:
+            refuse(where, "stream", "a sensor without a mount", f"a second mount of {stream}", "mount each once, before its messages")
+        self.mounted[agent, stream] = [*position, *rotation(where, "quaternion", quaternion)]
+
+    def motion(self, agent, stream, stamp, ready):
+        """A message of a motion sensor, begun. Those that nobody mounted are at the origin of the body frame."""
+        self.known(agent)
+        where = f"{stream} of `{agent}` at {stamp}"
+        stamp = self.stamp(where, stamp)
+        frame, known = f"{agent}/{FRAMES[stream]}", self.mounted.get((agent, stream), [0, 0, 0, 0, 0, 0, 1])
+        if known is not None:
+            transform = Cdr(stamp, None)
+            transform.put("I", 1)
+            transform.header(stamp, f"{agent}/body")
+            transform.text(frame)
+            transform.fixed(known)
+            self.write(agent, "tf_static", "tf2_msgs/TFMessage", stamp, ready, transform)
+            self.mounted[agent, stream] = None
+        return where, stamp, Cdr(stamp, frame)
+
+    def imu(self, agent, stamp, angular_rate, acceleration, variances=None, ready=None):
+        """A sample of an inertial unit along its own axes: rad/s, and m/s² with gravity in it, 9.8 upwards at rest. `variances` of
+        white noise: of one rate and one acceleration. `stamp`: the end of the time that the sample is the mean of."""
+        where, stamp, cdr = self.motion(agent, "imu", stamp, ready)
+        rate, force = variances or (None, None)
+        eye = np.eye(3).ravel()
+        cdr.fixed([0, 0, 0, 1, -1] + [0] * 8)
+        cdr.fixed([*doubles(where, "angular_rate", angular_rate, 3), *variance(where, "variances", rate) * eye])
+        cdr.fixed([*doubles(where, "acceleration", acceleration, 3), *variance(where, "variances", force) * eye])
+        self.write(agent, "imu", "sensor_msgs/Imu", stamp, ready, cdr)
+
+    def fix(self, agent, stamp, place, covariance=None, quality="single", ready=None):
+        """What a satellite receiver says: latitude and longitude on WGS 84, degrees, and height over its ellipsoid, m; None without a
+        position. `covariance`: 3 by 3, of east, north and up, m². `quality`: single, corrected (SBAS) or differential (also RTK)."""
+        if not self.has_origin:
+            refuse(f"fix of `{agent}`", "map_origin", "where the map's origin is", "none", "LogWriter(..., map_origin=[lat, lon, height])")
+        where, stamp, cdr = self.motion(agent, "fix", stamp, ready)
+        kinds = "single", "corrected", "differential"
+        if quality not in kinds:
+            refuse(where, "quality", f"one of {', '.join(kinds)}", f"{quality!r}", "take the nearest")
+        given = np.zeros(9) if covariance is None else doubles(where, "covariance", covariance, 9)
+        square = given.reshape(3, 3)
+        if covariance is not None and (np.abs(square - square.T).max() > 1e-6 * np.abs(square).max() or np.diag(square).min() <= 0):
+            refuse(where, "covariance", "a symmetric matrix with variances above 0", f"{given.tolist()}", "of east, north and up, m²")
+        cdr.put("bH", -1 if place is None else kinds.index(quality), 1)
+        cdr.fixed([np.nan] * 3 if place is None else geodetic(where, "place", place))
+        cdr.fixed(given)
+        cdr.put("B", 0 if covariance is None else 3)
+        self.write(agent, "fix", "sensor_msgs/NavSatFix", stamp, ready, cdr)
+
+    def wheels(self, agent, stamp, speed, speed_variance=None, ready=None):
+        """How fast the wheels of a fixed axle say that its middle moves ahead, m/s; backwards is negative."""
+        where, stamp, cdr = self.motion(agent, "wheels", stamp, ready)
+        cdr.fixed([*doubles(where, "speed", [speed], 1)] + [0] * 5)
+        cdr.fixed([variance(where, "speed_variance", speed_variance)] + [0] * 35)
+        self.write(agent, "wheels", "geometry_msgs/TwistWithCovarianceStamped", stamp, ready, cdr)
 
     def sweep(self, agent, stamp, points, intensity=0, time=0, ring=0, ready=None, intensity_max=None):
         """`points` (n, 3) in the body frame, m; a row with NaN is a direction without a return.
@@ -654,7 +758,7 @@ class LogWriter:
         if self.file.closed:
             refuse(where, "log", "a log that is open", "one that was closed", "write all before `close` or the end of `with`")
         ready = self.ready(where, stamp, ready)
-        bulk, topic = stream == "points", f"/{agent}/{stream}"
+        bulk, topic = stream == "points", "/tf_static" if stream == "tf_static" else f"/{agent}/{stream}"
         chunk = self.open[bulk] = self.open[bulk] or {"data": bytearray(), "index": {}}
         if topic not in self.channels:
             chunk["data"] += self.define(topic, schema)

@@ -340,6 +340,28 @@ class TestArguments(Case):
             with self.subTest(name), self.assertRaisesRegex(ValueError, f"view: `{name}`"):
                 view(**{**good, name: value})
 
+    def test_motion_sensors_are_refused_by_name(self):
+        origin = {"map_origin": [48.1, 11.6, 500]}
+        for call, options, words in (
+            (lambda log: log.imu("car", S, [0, 0], [0, 0, 9.8]), {}, ["angular_rate", "3 numbers"]),
+            (lambda log: log.imu("car", S, [0, 0, 0], [0, 0, np.nan]), {}, ["acceleration", "finite"]),
+            (lambda log: log.imu("car", S, [0, 0, 0], [0, 0, 9.8], variances=(1e-6, 0)), {}, ["variances", "above 0"]),
+            (lambda log: log.fix("car", S, [48.1, 11.6, 500]), {}, ["map_origin", "none"]),
+            (lambda log: log.fix("car", S, [98.1, 11.6, 500]), origin, ["latitude", "90"]),
+            (lambda log: log.fix("car", S, np.float32([48.1, 11.6, 500])), origin, ["place", "float64"]),
+            (lambda log: log.fix("car", S, [48.1, 11.6, 500], quality="rtk"), origin, ["quality", "differential"]),
+            (lambda log: log.fix("car", S, [48.1, 11.6, 500], np.zeros((3, 3))), origin, ["covariance", "above 0"]),
+            (lambda log: log.wheels("car", S, [1, 2]), {}, ["speed"]),
+            (lambda log: log.mount("car", "points", [0, 0, 1]), {}, ["stream", "wheels"]),
+            (lambda log: [log.imu("car", S, [0, 0, 0], [0, 0, 9.8]), log.mount("car", "imu", [0, 0, 1])], {}, ["second mount"]),
+        ):
+            with self.subTest(words), self.assertRaises(ValueError) as caught, self.writer(**options) as log:
+                call(log)
+            for word in words:
+                self.assertIn(word, str(caught.exception))
+        with self.assertRaisesRegex(ValueError, "map_origin"):
+            self.writer(map_origin=[1, 2])
+
     def test_what_is_written_after_the_end_is_refused(self):
         with self.writer() as log:
             log.pose("car", S, [0, 0, 0], UNIT)

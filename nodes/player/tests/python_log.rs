@@ -6,7 +6,7 @@ use std::process::Command;
 use realo_logs::{Log, Stream, describe};
 use realo_operator::{Source, StageOutputs};
 use realo_player::{Output, Player, Settings};
-use realo_schemas::{Box3, Message, Payload};
+use realo_schemas::{Box3, FixQuality, Message, Payload};
 
 /// A Python with numpy; one in a virtual environment under the build folder if the system's has none.
 fn python() -> Option<PathBuf> {
@@ -32,9 +32,16 @@ from realo_log import LogWriter, agent, boxes, view
 
 S, MS = 1_700_000_000_000_000_000, 1_000_000
 agents = [agent("car", "vehicle", footprint=[-1, 3.5, -0.9, 0.9], sensor="64 beams"), agent("mast", "roadside")]
-with LogWriter(sys.argv[1], agents, source="a test", key_frames="even sweeps") as log:
+origin = [48.1, 11.6, 519.25]
+with LogWriter(sys.argv[1], agents, source="a test", key_frames="even sweeps", map_origin=origin) as log:
+    log.mount("car", "imu", [0.5, 0, 0.25])
+    log.mount("car", "fix", [0, 0, 1.5])
     for tick in range(200):
         now = S + tick * 10 * MS
+        log.imu("car", now, [0, 0, 0.125], [0, 0.5, 9.75], variances=(1e-6, 1e-4), ready=now + MS)
+        if tick % 10 == 0:
+            log.wheels("car", now, 10.0, speed_variance=0.01)
+            log.fix("car", now, None if tick == 0 else origin, np.eye(3) * 4, quality="corrected", ready=now + 30 * MS)
         for name in "car", "mast":
             x = 0.1 * tick if name == "car" else 50.0
             log.pose(name, now, [x, 2.0, 0.25], [0, 0, 0, 1], ready=now + MS)
@@ -72,6 +79,41 @@ fn needed_python() -> Option<PathBuf> {
         skipped::skip("Python 3 with numpy, which pip could not install");
     }
     found
+}
+
+/// What the script wrote of the car's motion sensors.
+fn assert_motion(log: &Log) {
+    let streams = [Stream::Imu, Stream::Fix, Stream::Wheels];
+    let mut reader = log.read_all(&streams.map(|stream| ("car", stream))).unwrap();
+    let mut counts = [0; 3];
+    let mut with_place = 0;
+    while let Some(entry) = reader.next().unwrap() {
+        let motion = entry.motion().unwrap();
+        counts[streams.iter().position(|stream| *stream == entry.stream).unwrap()] += 1;
+        for imu in &motion.imu {
+            assert_eq!(imu.angular_rate, [0.0, 0.0, 0.125]);
+            assert_eq!(imu.specific_force, [0.0, 0.5, 9.75]);
+            assert_eq!(imu.taken.arrival - imu.taken.stamp, 1_000_000);
+            assert_eq!(
+                (motion.imu_position, motion.imu_variance),
+                ([0.5, 0.0, 0.25], Some([1e-6, 1e-4]))
+            );
+        }
+        for fix in &motion.fixes {
+            assert!(fix.position.iter().all(|axis| axis.abs() < 1e-6), "{fix:?}");
+            assert_eq!((fix.quality, motion.antenna), (FixQuality::Corrected, [0.0, 0.0, 1.5]));
+            assert_eq!(fix.covariance.unwrap()[4], 4.0);
+            with_place += 1;
+        }
+        for wheels in &motion.wheels {
+            assert_eq!(
+                (wheels.speed, wheels.variance, motion.axle),
+                (10.0, Some(0.01), [0.0; 3])
+            );
+        }
+    }
+    assert_eq!(with_place, 19, "the first has none");
+    assert_eq!(counts, [200, 20, 20]);
 }
 
 #[test]
@@ -128,6 +170,8 @@ fn a_log_from_numpy_arrays_is_read_and_played() {
         sweeps += 1;
     }
     assert_eq!((sweeps, poses), (20, 200));
+    assert_eq!(log.info().map_origin, Some([48.1, 11.6, 519.25]));
+    assert_motion(&log);
     let description = describe(&path).unwrap();
     assert!((description.topics["/car/points"].rate_hz.unwrap() - 10.0).abs() < 1e-9);
     assert_eq!(description.topics["/car/ground_truth"].channel.messages, 20);

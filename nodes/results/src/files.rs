@@ -10,6 +10,7 @@ use serde::Serialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
+use crate::localization::TUM;
 use crate::result::RESULT;
 use crate::run::SAMPLES;
 use crate::timing::TIMING;
@@ -21,6 +22,8 @@ const TIMING_FILE: &str = "timing.json";
 const SAMPLES_FILE: &str = "evaluation.json";
 /// Folder of traces, one for each agent on another machine.
 const CHANNELS: &str = "channels";
+/// Folder of trajectories, two for each agent that estimated its poses.
+const TRAJECTORIES: &str = "trajectories";
 /// In the order in which they are removed; written the other way round, so that a result is never without the others.
 const FILES: [(&str, &str); 3] = [(RESULT_FILE, RESULT), (TIMING_FILE, TIMING), (SAMPLES_FILE, SAMPLES)];
 
@@ -163,22 +166,34 @@ fn what_else(folder: &Path) -> String {
 /// # Errors
 /// [`FilesError`] names the file; nothing of somebody else is overwritten.
 pub fn write_run(folder: impl AsRef<Path>, run: &Run) -> Result<(), FilesError> {
-    write_run_and_courses(folder.as_ref(), run, &BTreeMap::new())
+    write_run_with(folder.as_ref(), run, &Beside::default())
 }
 
-/// As [`write_run`], with what the ways from agents on other machines were like: traces that `link` replays.
+/// What else a run's folder has for other programs.
+#[derive(Debug, Default)]
+pub struct Beside {
+    /// By agent on another machine, what its way was like: a trace that `link` replays.
+    pub courses: BTreeMap<String, Vec<Phase>>,
+    /// By agent, where it said that it was, and where it was: texts in TUM's form.
+    pub trajectories: BTreeMap<String, [String; 2]>,
+}
+
+/// As [`write_run`], with files for other programs.
 ///
 /// # Errors
 /// As [`write_run`].
-pub fn write_run_and_courses(
-    folder: &Path,
-    run: &Run,
-    courses: &BTreeMap<String, Vec<Phase>>,
-) -> Result<(), FilesError> {
+pub fn write_run_with(folder: &Path, run: &Run, beside: &Beside) -> Result<(), FilesError> {
     claim(folder)?;
     write(&folder.join(SAMPLES_FILE), &run.samples, false)?;
     write(&folder.join(TIMING_FILE), &run.timing, true)?;
-    write_traces(folder, courses)?;
+    let courses = beside.courses.iter();
+    let courses = courses.map(|(peer, course)| (format!("{peer}.csv"), Phase::trace(course)));
+    write_texts(&folder.join(CHANNELS), courses)?;
+    let trajectories = beside.trajectories.iter().flat_map(|(agent, [estimated, truth])| {
+        let [of, of_truth] = ["", ".truth"].map(|kind| format!("{agent}{kind}.tum"));
+        [(of, estimated.clone()), (of_truth, truth.clone())]
+    });
+    write_texts(&folder.join(TRAJECTORIES), trajectories)?;
     write(&folder.join(RESULT_FILE), &run.result, true)
 }
 
@@ -202,19 +217,20 @@ pub fn claim(folder: &Path) -> Result<(), FilesError> {
     Ok(())
 }
 
-fn write_traces(folder: &Path, courses: &BTreeMap<String, Vec<Phase>>) -> Result<(), FilesError> {
-    let channels = folder.join(CHANNELS);
-    if !courses.is_empty() {
-        std::fs::create_dir_all(&channels).map_err(|reason| refused(&channels, reason))?;
+/// Writes files of a folder, which is made if there are any.
+fn write_texts(folder: &Path, texts: impl Iterator<Item = (String, String)>) -> Result<(), FilesError> {
+    let mut texts = texts.peekable();
+    if texts.peek().is_some() {
+        std::fs::create_dir_all(folder).map_err(|reason| refused(folder, reason))?;
     }
-    for (peer, course) in courses {
-        let path = channels.join(format!("{peer}.csv"));
-        std::fs::write(&path, Phase::trace(course)).map_err(|reason| refused(&path, reason))?;
+    for (name, text) in texts {
+        let path = folder.join(name);
+        std::fs::write(&path, text).map_err(|reason| refused(&path, reason))?;
     }
     Ok(())
 }
 
-/// The files of an earlier run in a folder, `result.json` first, and its traces below it.
+/// The files of an earlier run in a folder, `result.json` first, and its traces and trajectories below it.
 ///
 /// # Errors
 /// [`FilesError`] for files of these names that are not of realo.
@@ -230,10 +246,18 @@ pub fn earlier(folder: &Path) -> Result<Vec<PathBuf>, FilesError> {
             }
         })
         .collect();
-    let is_trace = |path: &PathBuf| std::fs::read_to_string(path).is_ok_and(|text| text.starts_with(Phase::COLUMNS));
-    let traces = std::fs::read_dir(folder.join(CHANNELS)).into_iter().flatten().flatten();
-    let traces = traces.map(|entry| entry.path()).filter(is_trace);
-    Ok(files?.into_iter().chain(traces).collect())
+    let below = [(CHANNELS, Phase::COLUMNS), (TRAJECTORIES, TUM)];
+    let texts = below
+        .into_iter()
+        .flat_map(|(name, begin)| texts_of(&folder.join(name), begin));
+    Ok(files?.into_iter().chain(texts).collect())
+}
+
+/// The files of a folder that begin with a text.
+fn texts_of(folder: &Path, begin: &str) -> Vec<PathBuf> {
+    let has_begin = |path: &PathBuf| std::fs::read_to_string(path).is_ok_and(|text| text.starts_with(begin));
+    let entries = std::fs::read_dir(folder).into_iter().flatten().flatten();
+    entries.map(|entry| entry.path()).filter(has_begin).collect()
 }
 
 fn refused(file: &Path, reason: std::io::Error) -> FilesError {

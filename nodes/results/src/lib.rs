@@ -30,7 +30,7 @@ pub use cooperation::{Cooperation, UNUSED, Unused};
 pub use distribution::{Ages, Spread};
 pub use error::ResultsError;
 pub use files::{
-    FilesError, RESULT_FILE, claim, earlier, read_run, run_folder, write_result, write_run, write_run_and_courses,
+    Beside, FilesError, RESULT_FILE, claim, earlier, read_run, run_folder, write_result, write_run, write_run_with,
 };
 /// What scores are made of: types of [`RunResult`] and [`Samples`].
 pub use realo_scoring as scoring;

@@ -3,6 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use nalgebra::Isometry3;
 use realo_logs::{Log, LogError, MAX_GAP, Stream, pose_track};
 use realo_schemas::geometry::PoseTrack;
 use realo_schemas::{AgentState, Header, Name, Nanos, PoseStatus};
@@ -18,8 +19,19 @@ pub(crate) struct Estimates {
     count: usize,
 }
 
-/// By agent: its estimates, and their errors.
-type Frames = BTreeMap<String, Vec<LocalizationFrame>>;
+/// First line of a trajectory in the form of TUM's benchmark.
+pub(crate) const TUM: &str = "# timestamp_s x_m y_m z_m qx qy qz qw";
+
+/// What became of estimates.
+#[derive(Debug, Default)]
+pub(crate) struct Compared {
+    /// By agent: its estimates, and their errors.
+    pub frames: BTreeMap<String, Vec<LocalizationFrame>>,
+    /// By agent, of the estimates that have an error: estimated and true poses of the map, in TUM's form.
+    pub trajectories: BTreeMap<String, [String; 2]>,
+    /// What a reader must know.
+    pub notes: Vec<String>,
+}
 
 impl Estimates {
     /// Takes a state; poses that a log gave are none.
@@ -41,11 +53,12 @@ impl Estimates {
         }
     }
 
-    /// All estimates with their errors, by the log's true poses; and what a reader must know.
-    pub fn against(self, log: Option<&Path>) -> (Frames, Vec<String>) {
-        let mut notes = Vec::new();
+    /// All estimates with their errors, by the log's true poses.
+    pub fn against(self, log: Option<&Path>) -> Compared {
+        let mut compared = Compared::default();
+        let notes = &mut compared.notes;
         if self.of.is_empty() {
-            return (Frames::new(), notes);
+            return compared;
         }
         let truth = match log.map(|path| truth(path, self.of.keys())) {
             None => BTreeMap::new(),
@@ -63,19 +76,39 @@ impl Estimates {
                 "errors of localization are those of the first {MOST} estimates; {left} more are not counted"
             ));
         }
-        let of_agent = |(agent, states): (Name, Vec<(Nanos, AgentState)>)| {
+        for (agent, states) in self.of {
             let track = truth.get(&agent);
-            let frame = |(stamp, state): &(Nanos, AgentState)| LocalizationFrame {
-                status: state.status,
-                error: track
-                    .filter(|_| state.status.is_usable())
-                    .and_then(|track| track.at(*stamp))
-                    .map(|truth| PoseDifference::of(state, &truth)),
+            let mut trajectories = [TUM, TUM].map(|first| format!("{first}\n"));
+            let frame = |(stamp, state): (Nanos, AgentState)| {
+                let usable = track.filter(|_| state.status.is_usable());
+                let truth = usable.and_then(|track| track.at(stamp));
+                if let Some(truth) = &truth {
+                    for (text, pose) in trajectories.iter_mut().zip([&state.map_from_body, truth]) {
+                        text.push_str(&line_of_tum(stamp, pose));
+                    }
+                }
+                LocalizationFrame {
+                    status: state.status,
+                    error: truth.map(|truth| PoseDifference::of(&state, &truth)),
+                }
             };
-            (agent.to_string(), states.iter().map(frame).collect())
-        };
-        (self.of.into_iter().map(of_agent).collect(), notes)
+            let frames: Vec<LocalizationFrame> = states.into_iter().map(frame).collect();
+            if frames.iter().any(|frame| frame.error.is_some()) {
+                compared.trajectories.insert(agent.to_string(), trajectories);
+            }
+            compared.frames.insert(agent.to_string(), frames);
+        }
+        compared
     }
+}
+
+fn line_of_tum(stamp: Nanos, pose: &Isometry3<f64>) -> String {
+    let (seconds, nanos) = (stamp.div_euclid(1_000_000_000), stamp.rem_euclid(1_000_000_000));
+    let (at, turn) = (&pose.translation.vector, pose.rotation.coords);
+    format!(
+        "{seconds}.{nanos:09} {:.6} {:.6} {:.6} {:.9} {:.9} {:.9} {:.9}\n",
+        at.x, at.y, at.z, turn.x, turn.y, turn.z, turn.w
+    )
 }
 
 /// The true poses of those agents of whom the log has some.
@@ -89,7 +122,6 @@ fn truth<'a>(path: &Path, agents: impl Iterator<Item = &'a Name>) -> Result<BTre
 
 #[cfg(test)]
 mod tests {
-    use nalgebra::Isometry3;
     use realo_logs::{AgentInfo, AgentKind, LogInfo, LogWriter};
     use realo_schemas::Kind;
 
@@ -110,11 +142,12 @@ mod tests {
         let header = |stamp| Header::origin(&"run".into(), &"cav1".into(), Kind::AgentState, 0, stamp, stamp);
         let mut estimates = Estimates::default();
         estimates.add(&header(0), &state(1.0, PoseStatus::Recorded));
-        assert_eq!(estimates.against(None), (Frames::new(), Vec::new()));
+        let nothing = estimates.against(None);
+        assert!(nothing.frames.is_empty() && nothing.notes.is_empty());
         let mut estimates = Estimates::default();
         estimates.add(&header(50), &state(1.0, PoseStatus::Tracking));
         estimates.add(&header(150), &state(1.0, PoseStatus::Lost));
-        let (frames, notes) = estimates.against(Some(Path::new("/nowhere/log.mcap")));
+        let Compared { frames, notes, .. } = estimates.against(Some(Path::new("/nowhere/log.mcap")));
         assert!(notes[0].contains("/nowhere/log.mcap"), "{notes:?}");
         let statuses: Vec<_> = frames["cav1"].iter().map(|frame| (frame.status, frame.error)).collect();
         assert_eq!(statuses, [(PoseStatus::Tracking, None), (PoseStatus::Lost, None)]);
@@ -129,7 +162,11 @@ mod tests {
         let header = |stamp| Header::origin(&"run".into(), &"cav1".into(), Kind::AgentState, 0, stamp, stamp);
         estimates.add(&header(50_000_000), &state(0.7, PoseStatus::Tracking));
         estimates.add(&header(70_000_000), &state(9.0, PoseStatus::Init));
-        let (frames, notes) = estimates.against(Some(&path));
+        let Compared {
+            frames,
+            notes,
+            trajectories,
+        } = estimates.against(Some(&path));
         assert_eq!(notes, [""; 0]);
         let [first, second] = frames["cav1"][..] else {
             panic!("{frames:?}")
@@ -139,6 +176,11 @@ mod tests {
             "{first:?}"
         );
         assert_eq!((second.status, second.error), (PoseStatus::Init, None));
+        let [estimated, truth] = &trajectories["cav1"];
+        let line = |x: &str| {
+            format!("{TUM}\n0.050000000 {x} 0.000000 0.000000 0.000000000 0.000000000 0.000000000 1.000000000\n")
+        };
+        assert_eq!((&estimated[..], &truth[..]), (&*line("0.700000"), &*line("0.500000")));
     }
 
     /// A drive of 10 m/s along x.

@@ -12,8 +12,8 @@ use crate::localization::Estimates;
 use crate::progress::Progress;
 use crate::timing::Pace;
 use crate::{
-    Cooperation, EdgeBooks, GraphStages, Ledger, NodeSummary, ResultsError, Run, RunResult, Samples, Timing,
-    TimingSamples, add_name, claim, link_books, write_run_and_courses,
+    Beside, Cooperation, EdgeBooks, GraphStages, Ledger, NodeSummary, ResultsError, Run, RunResult, Samples, Timing,
+    TimingSamples, add_name, claim, link_books, write_run_with,
 };
 
 /// Settings of [`Results`].
@@ -196,11 +196,15 @@ impl Sink for Results {
 
     fn finish(&mut self, books: &Books) -> Result<(), Error> {
         let estimates = std::mem::take(&mut self.estimates);
-        let (frames, notes) = estimates.against(self.log_path.as_deref().map(Path::new));
-        self.samples.localization = frames;
+        let found = estimates.against(self.log_path.as_deref().map(Path::new));
+        self.samples.localization = found.frames;
         let mut run = self.close(books);
-        run.result.notes.extend(notes);
-        Ok(write_run_and_courses(&self.out, &run, &self.courses)?)
+        run.result.notes.extend(found.notes);
+        let beside = Beside {
+            courses: std::mem::take(&mut self.courses),
+            trajectories: found.trajectories,
+        };
+        Ok(write_run_with(&self.out, &run, &beside)?)
     }
 }
 

@@ -71,15 +71,27 @@ impl Engine {
         }
     }
 
-    /// From the canvas to the BEV map that agents share.
+    /// From the canvas to the BEV map that an agent keeps for its own fusion.
     ///
     /// # Errors
-    /// Those of [`Network::encode`], and of the device.
-    pub fn encode(&mut self, canvas: &Canvas, steps: &mut Steps) -> Result<BevMap, EngineError> {
+    /// Those of [`Network::encode_own`], and of the device.
+    pub fn encode_own(&mut self, canvas: &Canvas, steps: &mut Steps) -> Result<BevMap, EngineError> {
         match self {
-            Engine::Kernels(network) => of_kernels(network.encode(canvas), steps),
+            Engine::Kernels(network) => of_kernels(network.encode_own(canvas), steps),
             #[cfg(feature = "cuda")]
-            Engine::Candle(engine) => Ok(engine.encode(canvas, &mut Timed(steps))?),
+            Engine::Candle(engine) => Ok(engine.encode_own(canvas, &mut Timed(steps))?),
+        }
+    }
+
+    /// From the map that an agent keeps to the one that agents share; `None` if they are the same.
+    ///
+    /// # Errors
+    /// Those of [`Network::share`], and of the device.
+    pub fn share(&mut self, kept: BevView, steps: &mut Steps) -> Result<Option<BevMap>, EngineError> {
+        match self {
+            Engine::Kernels(network) => of_kernels(network.share(kept), steps),
+            #[cfg(feature = "cuda")]
+            Engine::Candle(engine) => Ok(engine.share(kept, &mut Timed(steps))?),
         }
     }
 

@@ -14,6 +14,7 @@ use realo_bev::{Computing, Engine, Maps, Read};
 use realo_fusion::{Collaborator, Input, Pairing};
 use realo_kernels::agents::Agent;
 use realo_kernels::warp::Warp;
+use realo_nn::layers::Layers;
 use realo_operator::{Describe, Error, Operator, Outputs, Settings};
 use realo_schemas::{Elements, FeatureMap, Header, Name, Nanos};
 use serde::{Deserialize, Serialize};
@@ -73,6 +74,8 @@ pub enum FeatureError {
 pub struct FusionFeatures {
     engine: Engine,
     maps: Maps,
+    /// Rows, columns and channels of the maps that agents share.
+    shared: [usize; 3],
     /// Collaborators that a fusion takes.
     limit: usize,
     roadside: Vec<Name>,
@@ -106,8 +109,10 @@ impl Operator for FusionFeatures {
             }
             .into());
         }
+        let layers = Layers::of(&loaded.model);
         Ok(FusionFeatures {
             maps: Maps::of(&loaded),
+            shared: layers.size(layers.features),
             engine: Engine::new(loaded, settings.computing.device, Elements::F32)?,
             limit,
             roadside: settings
@@ -124,10 +129,9 @@ impl Operator for FusionFeatures {
         let Some(mut set) = self.pairing.take(input, Some(self.limit))? else {
             return Ok(());
         };
-        let size = self.maps.read(&set.ego)?.size();
         let mut refused = Vec::new();
         set.reject(|collaborator| {
-            let reason = self.refusal(&collaborator.payload, size);
+            let reason = self.refusal(&collaborator.payload);
             refused.extend(reason.iter().map(|reason| format!("{}: {reason}", collaborator.header)));
             reason.is_some()
         });
@@ -157,16 +161,16 @@ impl Operator for FusionFeatures {
 }
 
 impl FusionFeatures {
-    /// Why a collaborator's map cannot be fused with one of this size; `None` if it can.
-    fn refusal(&self, map: &FeatureMap, size: [usize; 3]) -> Option<String> {
+    /// Why a collaborator's map cannot be fused; `None` if it can.
+    fn refusal(&self, map: &FeatureMap) -> Option<String> {
         let map = match self.maps.read(map) {
             Ok(map) => map,
             Err(error) => return Some(error.to_string()),
         };
-        let found = map.size();
-        if found != size {
+        let (expected, found) = (self.shared, map.size());
+        if found != expected {
             return Some(format!(
-                "expected {size:?} rows, columns and channels, as the ego's map has, found {found:?}"
+                "expected {expected:?} rows, columns and channels, as maps of this model have that agents share, found {found:?}"
             ));
         }
         (!map.is_sound())

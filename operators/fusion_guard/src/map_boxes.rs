@@ -20,8 +20,8 @@ pub(crate) struct MapDetector {
     engine: Engine,
     decoder: Decoder,
     maps: Maps,
-    /// Rows, columns and channels.
-    size: [usize; 3],
+    /// Rows, columns and channels of the maps that an agent keeps for its own fusion, and of those that agents share.
+    sizes: [[usize; 3]; 2],
     max_boxes: usize,
 }
 
@@ -36,7 +36,7 @@ impl MapDetector {
         Ok(MapDetector {
             decoder: Decoder::new(Anchors::of(&loaded.model), loaded.model.score_threshold),
             maps: Maps::of(&loaded),
-            size: layers.size(layers.features),
+            sizes: [layers.kept, layers.features].map(|map| layers.size(map)),
             engine: Engine::new(loaded, computing.device, Elements::F32)?,
             max_boxes,
         })
@@ -54,7 +54,7 @@ impl MapDetector {
     /// Those of the device.
     pub fn boxes(&mut self, map: &FeatureMap, steps: &mut Steps) -> Result<Option<Vec<Box3>>, Error> {
         let read = self.maps.read(map).ok();
-        let Some(map) = read.filter(|map| map.size() == self.size && map.is_sound()) else {
+        let Some(map) = read.filter(|map| self.sizes.contains(&map.size()) && map.is_sound()) else {
             return Ok(None);
         };
         let heads = self.engine.heads_alone(map.view(), steps)?;

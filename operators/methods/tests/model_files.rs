@@ -57,7 +57,7 @@ fn a_model_that_extends_another_says_what_differs() {
     expected.weights = Some("lite".into());
     expected.arch = attfuse::Settings(Sharing {
         agents: 3,
-        compression: 0,
+        ..Sharing::default()
     })
     .into();
     assert_eq!(Model::read(&middle).unwrap(), expected);

@@ -9,14 +9,14 @@ use realo_kernels::bev::{BevMap, BevView};
 use realo_kernels::canvas::Canvas;
 use realo_kernels::conv::Pool;
 use realo_kernels::warp::Warp;
-use realo_methods::Model;
 use realo_methods::candle::{Copier, Elements, Engine, Error, Network, Watch};
 use realo_methods::network::{self, NetworkOptions};
 use realo_methods::tensors::{self, AgentMap, Placed, Tensors};
 use realo_methods::v2xvit::{Settings, Window};
+use realo_methods::{Model, attfuse};
 use realo_nn::filler::{Numbers, weights};
 use realo_nn::layers::Layers;
-use realo_nn::model::Precision;
+use realo_nn::model::{Precision, Sharing};
 use realo_nn::weights::Weights;
 
 /// Numbers of a result that sums in another order, of some dozen layers, may give: f32 is exact to 6e-8.
@@ -152,7 +152,18 @@ fn assert_networks_agree(model: &Model) -> Result<(), Error> {
     let expected: Vec<f32> = scores.zip(deltas).flat_map(|(a, b)| [a, b].concat()).collect();
     assert_near(&heads, &expected, &format!("{}: heads", model.name));
 
-    let maps = [1, 2, 3, 4].map(|seed| map(seed, layers.size(layers.features)));
+    let kept = network.encode_own(&network.put_canvas(&canvas)?)?;
+    let expected = kernels.encode_own(&canvas).unwrap();
+    assert_near(&numbers(&kept), &expected.data, &format!("{}: own map", model.name));
+    let compressed = kernels.share(&expected).unwrap();
+    assert_eq!(compressed.is_some(), network.shares_another(), "{}", model.name);
+    if let Some(compressed) = compressed {
+        let found = network.share(&kept)?;
+        assert_near(&numbers(&found), &compressed.data, &format!("{}: shared", model.name));
+    }
+
+    let sizes = [layers.kept, layers.features, layers.features, layers.features].map(|of| layers.size(of));
+    let maps = [0, 1, 2, 3].map(|place| map(place as u64 + 1, sizes[place]));
     let shared = network.put_shared((&maps[0]).into())?;
     let confidence = kernels.confidence(&maps[0]).unwrap();
     assert!(confidence.iter().all(|confidence| (0.0..=1.0).contains(confidence)));
@@ -194,6 +205,19 @@ fn compressed_maps_are_restored_before_they_are_fused() -> Result<(), Error> {
         }
     }
     Ok(())
+}
+
+#[test]
+fn an_ego_that_keeps_its_own_map_whole_fuses_it_with_restored_ones() -> Result<(), Error> {
+    let mut models = models().into_iter();
+    let mut model = models.find(|model| model.name == "lite-attfuse").expect("it ships");
+    model.arch = attfuse::Settings(Sharing {
+        compression: 8,
+        compress_own: false,
+        ..Sharing::default()
+    })
+    .into();
+    assert_networks_agree(&model)
 }
 
 #[test]
@@ -403,7 +427,7 @@ fn an_engine_gives_what_the_kernels_give_and_times_its_steps() -> Result<(), Err
     let named = |steps: &mut Names| std::mem::take(&mut steps.0);
 
     let canvas = canvas(&layers);
-    let encoded = engine.encode(&canvas, &mut steps)?;
+    let encoded = engine.encode_own(&canvas, &mut steps)?;
     let expected = ["to_device", "launch", "synchronisation", "masking", "to_host"];
     assert_eq!(named(&mut steps), expected);
     assert_near(&encoded.data, &kernels.encode(&canvas).unwrap().data, "encode");

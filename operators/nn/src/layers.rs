@@ -24,6 +24,8 @@ pub struct Layers {
     pub canvas: MapId,
     /// An agent's BEV map, before a compressor.
     pub own: MapId,
+    /// What an agent keeps of it for its own fusion: all of it, or what it shares.
+    pub kept: MapId,
     /// What agents share: that map, compressed if the model compresses.
     pub features: MapId,
     /// What is fused: the shared map, restored if the model compresses.
@@ -58,7 +60,7 @@ pub enum Layer {
     Convolution(ConvLayer),
     /// Several maps side by side in their channels.
     Join,
-    /// Maps of several agents become one.
+    /// Maps of several agents become one. Where it reads two maps, the second is the one that the ego has kept of its own.
     Fuse(FuseLayer),
 }
 
@@ -282,6 +284,12 @@ impl Layers {
         steps.into_iter().flat_map(|step| step.layer.tensors())
     }
 
+    /// The tensors that lead from an agent's own map over what crosses to what is fused.
+    pub fn compressor(&self) -> impl Iterator<Item = TensorSpec> {
+        let steps = self.between(&[self.own], &[self.restored]);
+        steps.into_iter().flat_map(|step| step.layer.tensors())
+    }
+
     /// The steps that lead from the given maps to the wanted ones, in an order in which they can be computed: of those
     /// that could be next, the one listed last, so that a map is read while it is in the caches.
     ///
@@ -356,14 +364,20 @@ impl Builder {
         self.step(Layer::Join, from, [rows, columns, channels])
     }
 
-    /// Adds the fusion of several agents' maps.
+    /// Adds the fusion of several agents' maps, and of the one that the ego has kept if it is another.
     ///
     /// # Panics
-    /// If it fuses another number of channels than the map has.
-    pub fn fuse(&mut self, layer: FuseLayer, from: MapId) -> MapId {
-        let size = self.size(from);
-        assert_eq!(size[2], layer.channels, "channels that are fused");
-        self.step(Layer::Fuse(layer), vec![from], size)
+    /// If there are none, or it fuses another number of channels than a map has.
+    pub fn fuse(&mut self, layer: FuseLayer, from: Vec<MapId>) -> MapId {
+        let size = self.size(from[0]);
+        for map in &from {
+            assert_eq!(
+                self.size(*map),
+                [size[0], size[1], layer.channels],
+                "maps that are fused"
+            );
+        }
+        self.step(Layer::Fuse(layer), from, size)
     }
 
     /// Size of a map so far.
@@ -373,15 +387,15 @@ impl Builder {
 
     /// The network of one agent, from `canvas` over `features` to its heads.
     pub fn finish(self, canvas: MapId, features: MapId, heads: [MapId; 2]) -> Layers {
-        self.finish_fused(canvas, [features; 4], heads)
+        self.finish_fused(canvas, [features; 5], heads)
     }
 
-    /// The network from `canvas` to an agent's own map, to what agents share of it, to the same restored, to the fused one, to its
-    /// heads.
+    /// The network from `canvas` to an agent's own map, to what it keeps of it, to what agents share of it, to the same restored, to the
+    /// fused one, to its heads.
     pub fn finish_fused(
         mut self,
         canvas: MapId,
-        [own, features, restored, fused]: [MapId; 4],
+        [own, kept, features, restored, fused]: [MapId; 5],
         [scores, deltas]: [MapId; 2],
     ) -> Layers {
         let heads = self.join(vec![scores, deltas]);
@@ -390,6 +404,7 @@ impl Builder {
             steps: self.steps,
             canvas,
             own,
+            kept,
             features,
             restored,
             fused,

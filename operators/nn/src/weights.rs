@@ -119,7 +119,8 @@ fn check_sum<A>(path: &Path, bytes: &[u8], model: &Model<A>) -> Result<(), Weigh
 }
 
 impl Weights {
-    /// Reads the weights of a model from its files: of all but the first the encoder's tensors that are lacking.
+    /// Reads the weights of a model from its files, in the order of [`Model::weights_beside`]: of all but the first the tensors of the
+    /// compressor and the encoder that are lacking.
     ///
     /// # Errors
     /// [`WeightsError::Read`], [`WeightsError::Syntax`], and [`WeightsError::File`] with that of [`Weights::new`], where a
@@ -135,14 +136,18 @@ impl Weights {
     pub fn parse<A: Architecture>(files: &[ModelFile], model: &Model<A>) -> Result<Weights, WeightsError> {
         let (mut tensors, mut problems) = (HashMap::new(), Vec::new());
         let layers = Layers::of(model);
-        let encoder: HashSet<String> = layers.encoder().map(|tensor| tensor.key).collect();
+        let compressor = model.compressor.as_ref().map(|_| keys(layers.compressor()));
+        let of_others: Vec<HashSet<String>> = compressor.into_iter().chain([keys(layers.encoder())]).collect();
         for (index, (path, bytes)) in files.iter().enumerate() {
             check_sum(path, bytes, model)?;
             let file = SafeTensors::deserialize(bytes).map_err(|error| WeightsError::Syntax {
                 path: path.clone(),
                 error,
             })?;
-            let of_file = |key: &str| index == 0 || encoder.contains(key);
+            let of_file = |key: &str| match index.checked_sub(1) {
+                None => true,
+                Some(other) => of_others.get(other).is_some_and(|keys| keys.contains(key)),
+            };
             add_tensors(&file, of_file, &mut tensors, &mut problems);
         }
         Weights::checked(&layers, &model.name, tensors, problems).map_err(|error| WeightsError::File {
@@ -234,6 +239,10 @@ impl Weights {
             })
             .collect()
     }
+}
+
+fn keys(tensors: impl Iterator<Item = TensorSpec>) -> HashSet<String> {
+    tensors.map(|tensor| tensor.key).collect()
 }
 
 /// Shapes and numbers by key, `None` in place of numbers of another type than F32.

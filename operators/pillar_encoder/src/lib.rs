@@ -1,5 +1,8 @@
 //! From sweeps to BEV maps: pillars, the pillar net and the backbone of a PointPillars model.
 //!
+//! An agent's own fusion takes `own`. Others get `features`, which is the same map unless the model compresses what crosses and fuses the
+//! agent's own map whole (`arch.compress_own = false`).
+//!
 //! With `confidence=true` the model's head reads the map as well, and what it thinks of each cell goes with the map: a
 //! `transmission-encoder` may then send the cells that matter.
 //!
@@ -72,8 +75,10 @@ pub enum Input {
 /// What it sends.
 #[derive(Debug, Outputs)]
 pub enum Output {
-    /// BEV maps.
+    /// BEV maps as agents share them.
     Features(Header, FeatureMap),
+    /// BEV maps for the agent's own fusion.
+    Own(Header, FeatureMap),
 }
 
 impl Operator for PillarEncoder {
@@ -90,7 +95,7 @@ impl Operator for PillarEncoder {
 
     fn on_input(&mut self, input: Input, out: &mut Outputs<Output>) -> Result<(), Error> {
         let Input::Clouds(header, cloud) = input;
-        let (map, dropped) = self.encode(&cloud, out.steps())?;
+        let (Encoded { own, shared }, dropped) = self.encode(&cloud, out.steps())?;
         let agent = header.agent.clone();
         let unusable = dropped.not_finite + dropped.out_of_range;
         let is_empty = unusable == cloud.len() as u64;
@@ -109,14 +114,21 @@ impl Operator for PillarEncoder {
             kind: Kind::Features,
             ..header
         };
-        out.send(Output::Features(header, map));
+        out.send(Output::Own(header.clone(), own));
+        out.send(Output::Features(header, shared));
         Ok(())
     }
 }
 
+/// Maps of one sweep.
+struct Encoded {
+    own: FeatureMap,
+    shared: FeatureMap,
+}
+
 impl PillarEncoder {
-    /// The BEV map of a cloud in the agent's body frame, and which points it leaves out.
-    fn encode(&mut self, cloud: &PointCloud, steps: &mut Steps) -> Result<(FeatureMap, Dropped), Error> {
+    /// The BEV maps of a cloud in the agent's body frame, and which points they leave out.
+    fn encode(&mut self, cloud: &PointCloud, steps: &mut Steps) -> Result<(Encoded, Dropped), Error> {
         let intensity: Option<Vec<f32>> = self
             .pillarer
             .wants_intensity()
@@ -128,13 +140,19 @@ impl PillarEncoder {
             intensity: intensity.as_deref(),
         };
         let (canvas, dropped) = self.pillarer.run(&points);
-        let map = self.engine.encode(canvas, steps)?;
+        let own = self.engine.encode_own(canvas, steps)?;
         let confidence = match self.confidence {
-            true => Some(self.engine.confidence(BevView::from(&map), steps)?.into()),
+            true => Some(self.engine.confidence(BevView::from(&own), steps)?.into()),
             false => None,
         };
-        let map = self.maps.write(map);
-        Ok((FeatureMap { confidence, ..map }, dropped))
+        let shared = self.engine.share(BevView::from(&own), steps)?;
+        let written = |map| FeatureMap {
+            confidence: confidence.clone(),
+            ..self.maps.write(map)
+        };
+        let own = written(own);
+        let shared = shared.map_or_else(|| own.clone(), written);
+        Ok((Encoded { own, shared }, dropped))
     }
 }
 
@@ -164,9 +182,14 @@ mod tests {
             .on_message(Input::CLOUDS, Message::new(header, cloud), &mut out)
             .unwrap();
         let counted = ["nan_points", "out_of_range_points", "over_points"].map(|counter| out.counted(counter));
-        let (port, message) = out.take_sent().remove(0);
-        assert_eq!(port, Output::FEATURES);
-        let (header, map) = message.into_parts().unwrap();
+        let mut sent = out.take_sent().into_iter();
+        let mut next = |expected: PortId| -> (Header, FeatureMap) {
+            let (port, message) = sent.next().unwrap();
+            assert_eq!(port, expected);
+            message.into_parts().unwrap()
+        };
+        let (own, (header, map)) = (next(Output::OWN), next(Output::FEATURES));
+        assert!(own == (header.clone(), map.clone()), "nothing is compressed");
         (header, map, counted)
     }
 

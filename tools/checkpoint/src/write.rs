@@ -128,6 +128,7 @@ fn text(converted: &Converted, name: &str, output: &Path, weights: &[u8]) -> Res
         name: name.into(),
         weights: None,
         encoder: None,
+        compressor: None,
         sha256: [(name.into(), sha256(weights))].into(),
         ..converted.model.clone()
     };

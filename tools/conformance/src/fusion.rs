@@ -76,7 +76,7 @@ fn of_maps(vector: &Vector) -> Result<(), String> {
     }
     let shared = Sharing {
         agents: most,
-        compression: 0,
+        ..Sharing::default()
     };
     let model = fusing(model, arch_of(&vector.entry.config, shared)?)?;
     let mut network = network(
@@ -101,6 +101,7 @@ fn compressor(vector: &Vector) -> Result<(), String> {
     let arch = fcooper::Settings(Sharing {
         agents: 1,
         compression: channels / crossing.max(1),
+        ..Sharing::default()
     });
     let model = fusing(before(rows, columns, channels)?, arch.into())?;
     let weights = weights_of(&model, &tensors, |key| key.strip_prefix("naive_compressor."))?;
@@ -156,7 +157,7 @@ fn messages(vector: &Vector) -> Result<(), String> {
     let most = tensors.shape("in.pairwise")?[1];
     let shared = Sharing {
         agents: most,
-        compression: 0,
+        ..Sharing::default()
     };
     let arch = arch_of(&vector.entry.config, shared)?;
     let model = fusing(before(rows, columns, channels)?, arch)?;
@@ -204,7 +205,7 @@ fn transformer(vector: &Vector) -> Result<(), String> {
     let channels = all - 3;
     let shared = Sharing {
         agents: most,
-        compression: 0,
+        ..Sharing::default()
     };
     let arch = arch_of(&vector.entry.config, shared)?;
     let model = fusing(before(rows, columns, channels)?, arch)?;
@@ -259,7 +260,12 @@ fn model(vector: &Vector, tensors: &Tensors) -> Result<(Model, Weights), String>
     }
     let agents = tensors.numbers("in.points_per_agent")?.len();
     let compression = vector.number("compression")? as usize;
-    let arch = arch_of(config, Sharing { agents, compression })?;
+    let sharing = Sharing {
+        agents,
+        compression,
+        ..Sharing::default()
+    };
+    let arch = arch_of(config, sharing)?;
     let model = fusing(model, arch)?;
     let weights = weights_of(&model, tensors, |key| Some(key))?;
     Ok((model, weights))

@@ -44,6 +44,7 @@ fn smallest(channels: usize) -> Settings {
     Settings {
         agents: 1,
         compression: 0,
+        compress_own: true,
         depth: 1,
         blocks: 1,
         heads: 1,

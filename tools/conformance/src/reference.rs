@@ -160,6 +160,7 @@ pub fn model_of(grid: Grid, channels: usize, backbone: Backbone) -> Result<Model
         name: "vector".into(),
         weights: None,
         encoder: None,
+        compressor: None,
         sha256: Default::default(),
         frame: Frame::Lidar,
         lidar_height: None,

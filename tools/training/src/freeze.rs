@@ -75,7 +75,7 @@ impl Frozen {
         let between = |part: Part| match part {
             Part::Encoder => layers.between(&[], &[layers.own]),
             Part::Compressor => layers.between(&[layers.own], &[layers.restored]),
-            Part::Fusion => layers.between(&[layers.restored], &[layers.fused]),
+            Part::Fusion => layers.between(&[layers.own, layers.restored], &[layers.fused]),
             Part::Heads => layers.between(&[layers.fused], &[layers.scores, layers.deltas]),
         };
         let steps = self.0.iter().flat_map(|part| between(*part));

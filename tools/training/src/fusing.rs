@@ -50,6 +50,14 @@ pub(crate) fn start(model: &Model, file: Option<&Path>, seed: u64) -> Result<Opt
                 .into(),
         });
     }
+    if let Some(compressor) = &model.compressor {
+        return Err(TrainError::Model {
+            model: model.name.clone(),
+            reason: format!(
+                "it takes its `compressor` from `{compressor}`: train that model, or leave `compressor` out"
+            ),
+        });
+    }
     let Some(file) = file else {
         return match model.encoder {
             None => Ok(None),
@@ -99,6 +107,7 @@ fn other_maps(model: &Model, encoder: &Model) -> Vec<String> {
         name: String::new(),
         weights: None,
         encoder: None,
+        compressor: None,
         sha256: Default::default(),
         arch: Arch::default(),
         precision: model.precision,
@@ -340,7 +349,9 @@ fn agents<'a>(party: &[Member], maps: &'a [BevMap]) -> Vec<agents::Agent<'a>> {
 }
 
 fn agent(member: &Member, map: Tensor) -> Agent {
-    let Member { warp, roadside, delay } = *member;
+    let Member {
+        warp, roadside, delay, ..
+    } = *member;
     Agent {
         map: AgentMap::Own(OwnMap {
             map,
@@ -396,8 +407,9 @@ fn lead_back(
 #[cfg(test)]
 mod tests {
     use realo_kernels::warp::Warp;
+    use realo_methods::attfuse;
     use realo_nn::anchors::Anchors;
-    use realo_nn::model::Shrink;
+    use realo_nn::model::{Architecture, Sharing, Shrink};
     use realo_nn::tensors::Role;
 
     use super::*;
@@ -455,11 +467,13 @@ mod tests {
             warp: Warp([[cos, -sin, 2.3], [sin, cos, -1.4]]),
             roadside: false,
             delay: 2,
+            own: false,
         };
         let unit = Member {
             warp: Warp([[0.0, -1.0, 13.0], [1.0, 0.0, -3.0]]),
             roadside: true,
             delay: 0,
+            own: false,
         };
         let object = |class: usize, x: f64| Object {
             class,
@@ -518,10 +532,19 @@ mod tests {
         for (name, compression) in [
             ("lite-attfuse", 0),
             ("lite-attfuse", 4),
+            ("lite-attfuse whole", 4),
             ("lite-fcooper", 0),
             ("lite-v2xvit", 0),
         ] {
-            let off = slopes(&model(name, compression));
+            let mut model = model(name.split(' ').next().expect("a name"), compression);
+            if name.ends_with("whole") {
+                let sharing = Sharing {
+                    compress_own: false,
+                    ..model.arch.sharing().expect("it shares")
+                };
+                model.arch = attfuse::Settings(sharing).into();
+            }
+            let off = slopes(&model);
             assert!(
                 off.len() > 20,
                 "{name}: only {} tensors have a gradient to speak of",

@@ -223,7 +223,14 @@ impl Network {
                     let parts: Vec<Tensor> = step.from.iter().map(|map| maps.read(*map)).collect();
                     run.tape.join(&parts)?
                 }
-                Layer::Fuse(layer) => fuse(self, run.tape, layer, &maps.read(step.from[0]), parties)?,
+                Layer::Fuse(layer) => {
+                    let restored = maps.read(step.from[0]);
+                    let fused = match step.from.get(1) {
+                        Some(kept) => run.tape.choose([&restored, &maps.read(*kept)], &owns(parties))?,
+                        None => restored,
+                    };
+                    fuse(self, run.tape, layer, &fused, parties)?
+                }
             };
             if step.to == layers.fused {
                 fused = Some(made.clone());
@@ -558,4 +565,9 @@ pub(crate) fn outer(map: &MapShape, image: &mut [f32], cells: &[f32]) {
         let at = map.at(0, row as isize, 0);
         image[at..at + cells.len()].copy_from_slice(cells);
     }
+}
+
+/// Which maps of a batch are of their fusion's agent itself.
+fn owns(parties: &[Vec<Member>]) -> Vec<bool> {
+    parties.iter().flatten().map(|member| member.own).collect()
 }

@@ -105,6 +105,32 @@ impl Tape {
         Ok(out)
     }
 
+    /// Of each image the first map's or the second's, `[images, ..]`, as `second` says.
+    ///
+    /// # Errors
+    /// Those of candle, for maps of other sizes.
+    pub(crate) fn choose(&mut self, maps: [&Tensor; 2], second: &[bool]) -> Result<Tensor> {
+        let images = second.iter().enumerate();
+        let chosen = images.map(|(image, second)| maps[usize::from(*second)].narrow(0, image, 1));
+        let out = Tensor::cat(&chosen.collect::<Result<Vec<_>>>()?, 0)?;
+        let (ids, second) = (maps.map(Tensor::id), second.to_vec());
+        self.record(&out, move |grad| {
+            let part = |of_second: bool| {
+                let images = second.iter().enumerate().map(|(image, second)| {
+                    let grad = grad.narrow(0, image, 1)?;
+                    if *second == of_second {
+                        Ok(grad)
+                    } else {
+                        grad.zeros_like()
+                    }
+                });
+                Tensor::cat(&images.collect::<Result<Vec<_>>>()?, 0)
+            };
+            Ok(vec![(ids[0], part(false)?), (ids[1], part(true)?)])
+        });
+        Ok(out)
+    }
+
     /// The gradients of everything that went in and did not come out of the tape, from those of its results.
     ///
     /// # Errors

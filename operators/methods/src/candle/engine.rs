@@ -70,24 +70,38 @@ impl Engine {
         })
     }
 
-    /// From the canvas to the BEV map that agents share.
+    /// From the canvas to the BEV map that an agent keeps for its own fusion.
     ///
     /// # Errors
-    /// Those of [`Network::put_canvas`] and [`Network::encode`].
-    pub fn encode(&mut self, canvas: &Canvas, steps: &mut dyn Watch) -> Result<BevMap, Error> {
+    /// Those of [`Network::put_canvas`] and [`Network::encode_own`].
+    pub fn encode_own(&mut self, canvas: &Canvas, steps: &mut dyn Watch) -> Result<BevMap, Error> {
         let network = &self.network;
         let copier = match &mut self.copier {
             Some(copier) => copier,
             none => {
                 let empty = Canvas::new(canvas.rows(), canvas.columns(), canvas.channels());
-                let empty = network.encode(&network.put_canvas(&empty)?)?;
+                let empty = network.encode_own(&network.put_canvas(&empty)?)?;
                 none.insert(Copier::new(self.elements, &empty)?)
             }
         };
         let canvas = timed(steps, "to_device", || network.put_canvas(canvas))?;
-        let map = computed(network, steps, || network.encode(&canvas))?;
+        let map = computed(network, steps, || network.encode_own(&canvas))?;
         let taken = timed(steps, "masking", || copier.take(&map))?;
         Ok(timed(steps, "to_host", || copier.copy(&taken))?.map)
+    }
+
+    /// From the map that an agent keeps to the one that agents share; `None` if they are the same.
+    ///
+    /// # Errors
+    /// Those of [`Network::put_shared`] and [`Network::share`].
+    pub fn share(&mut self, kept: BevView, steps: &mut dyn Watch) -> Result<Option<BevMap>, Error> {
+        let network = &self.network;
+        if !network.shares_another() {
+            return Ok(None);
+        }
+        let kept = timed(steps, "to_device", || network.put_shared(kept))?;
+        let map = computed(network, steps, || network.share(&kept))?;
+        Ok(Some(timed(steps, "to_host", || on_host(&map))?))
     }
 
     /// As [`crate::network::Network::confidence`].
@@ -109,14 +123,7 @@ impl Engine {
         let network = &self.network;
         let agents = timed(steps, "to_device", || network.put_agents(agents))?;
         let map = computed(network, steps, || network.fuse(&agents))?;
-        let (rows, columns, channels) = map.dims3()?;
-        let data = timed(steps, "to_host", || numbers(&map))?;
-        Ok(BevMap {
-            rows,
-            columns,
-            channels,
-            data,
-        })
+        Ok(timed(steps, "to_host", || on_host(&map))?)
     }
 
     /// From a BEV map to the heads, which stay until the next one.
@@ -169,6 +176,16 @@ fn computed(
     let made = timed(steps, "launch", compute)?;
     timed(steps, "synchronisation", || network.synchronise())?;
     Ok(made)
+}
+
+fn on_host(map: &Tensor) -> candle_core::Result<BevMap> {
+    let (rows, columns, channels) = map.dims3()?;
+    Ok(BevMap {
+        rows,
+        columns,
+        channels,
+        data: numbers(map)?,
+    })
 }
 
 fn numbers(tensor: &Tensor) -> candle_core::Result<Vec<f32>> {

@@ -99,12 +99,12 @@ impl Network {
         Ok(filled.reshape(size.to_vec())?)
     }
 
-    /// A map that the agents share on the device, `[rows, columns, channels]`.
+    /// A map that the agents share, or keep, on the device, `[rows, columns, channels]`.
     ///
     /// # Errors
     /// As [`crate::network::Network::fuse`], and those of the device.
     pub fn put_shared(&self, map: BevView) -> Result<Tensor, Error> {
-        self.put(map, self.layers.features)
+        self.put(map, self.of_agents(map.channels))
     }
 
     /// A map that the heads read on the device, `[rows, columns, channels]`.
@@ -142,6 +142,16 @@ impl Network {
         agents.iter().map(put).collect()
     }
 
+    /// The map of the network that an agent's map of so many channels is.
+    fn of_agents(&self, channels: usize) -> MapId {
+        let Layers { kept, features, .. } = self.layers;
+        if channels == self.layers.size(kept)[2] {
+            kept
+        } else {
+            features
+        }
+    }
+
     /// From the canvas to the map that agents share, both `[rows, columns, channels]`.
     ///
     /// # Errors
@@ -150,7 +160,38 @@ impl Network {
         self.between(canvas, self.layers.canvas, self.layers.features)
     }
 
-    /// From the maps that agents share, the ego's first, to the one that the heads read.
+    /// From the canvas to the map that an agent keeps for its own fusion, both `[rows, columns, channels]`.
+    ///
+    /// # Errors
+    /// Those of the device.
+    pub fn encode_own(&self, canvas: &Tensor) -> Result<Tensor, Error> {
+        self.between(canvas, self.layers.canvas, self.layers.kept)
+    }
+
+    /// Whether the map that an agent keeps is not the one that agents share.
+    pub fn shares_another(&self) -> bool {
+        self.layers.kept != self.layers.features
+    }
+
+    /// From the map that an agent keeps to the one that agents share, both `[rows, columns, channels]`.
+    ///
+    /// # Errors
+    /// Those of the device.
+    pub fn share(&self, kept: &Tensor) -> Result<Tensor, Error> {
+        self.between(kept, self.layers.kept, self.layers.features)
+    }
+
+    /// An agent's map as it is fused.
+    fn restored(&self, map: &Tensor) -> Result<Tensor, Error> {
+        let from = self.of_agents(map.dims3()?.2);
+        // What an agent has kept whole is fused as it is.
+        match from == self.layers.features {
+            true => self.between(map, from, self.layers.restored),
+            false => Ok(map.clone()),
+        }
+    }
+
+    /// From the maps that agents share, or keep, the ego's first, to the one that the heads read.
     ///
     /// # Errors
     /// [`NetworkError::NoFusion`], [`NetworkError::Agents`], and those of the device.
@@ -158,7 +199,7 @@ impl Network {
         let (method, layer) = self.fusion(agents.len())?;
         let restored = |agent: &Agent| {
             let own = agent.own()?;
-            let map = self.between(&own.map, self.layers.features, self.layers.restored)?;
+            let map = self.restored(&own.map)?;
             Ok(Agent {
                 map: AgentMap::Own(OwnMap { map, ..own.clone() }),
                 ..agent.clone()
@@ -190,8 +231,7 @@ impl Network {
     /// # Errors
     /// Those of the device.
     pub fn heads_alone(&self, map: &Tensor) -> Result<Tensor, Error> {
-        let restored = self.between(map, self.layers.features, self.layers.restored)?;
-        self.heads(&restored)
+        self.heads(&self.restored(map)?)
     }
 
     /// Numbers of scores in a cell of what [`Network::heads`] gives; deltas follow.

@@ -15,13 +15,17 @@ use crate::method::Fuse;
 pub(crate) struct Core {
     pub(super) name: String,
     pub(super) choice: Choice,
+    /// From the canvas to the map that an agent keeps for its own fusion.
     pub(super) encode: Engine,
+    /// From the kept map to the shared one, unless they are the same.
+    pub(super) compress: Option<Engine>,
     /// From the shared map to the restored one, unless they are the same.
     pub(super) restore: Option<Engine>,
     pub(super) heads: Engine,
     /// How the network fuses, and how many agents.
     pub(super) fusion: Option<(Box<dyn Fuse>, usize)>,
     pub(super) canvas: MapSize,
+    pub(super) kept: MapSize,
     pub(super) features: MapSize,
     pub(super) fused: MapSize,
     /// Numbers of a cell: scores and deltas.
@@ -45,6 +49,7 @@ impl Core {
         let choice = choose(model, options)?;
         let Layers {
             canvas,
+            kept,
             features,
             restored,
             fused,
@@ -61,7 +66,8 @@ impl Core {
         Ok(Core {
             name: model.name.clone(),
             choice,
-            encode: engine([canvas, features], Outcome::Own),
+            encode: engine([canvas, kept], Outcome::Own),
+            compress: (features != kept).then(|| engine([kept, features], Outcome::Own)),
             restore: (restored != features).then(|| engine([features, restored], Outcome::Single)),
             heads: parts.engine(choice.float(), [fused, heads], Outcome::Single),
             fusion: match (layers.fusion(), model.arch.method()) {
@@ -72,6 +78,7 @@ impl Core {
                 _ => None,
             },
             canvas: layers.size(canvas),
+            kept: layers.size(kept),
             features: layers.size(features),
             fused: layers.size(fused),
             outputs: [layers.scores, layers.deltas].map(|map| layers.size(map)[2]),

@@ -1,5 +1,6 @@
 use realo_kernels::agents::Agent;
 use realo_kernels::bev::BevMap;
+use realo_kernels::canvas::Canvas;
 use realo_kernels::conv::Isa;
 use realo_kernels::warp::Warp;
 use realo_nn::model::{Precision, Sharing, Shrink};
@@ -50,6 +51,7 @@ fn fusing() -> Vec<Model> {
             attfuse::Settings(Sharing {
                 agents: 4,
                 compression: 4,
+                ..Sharing::default()
             })
             .into(),
         ),
@@ -58,6 +60,43 @@ fn fusing() -> Vec<Model> {
         model(messages(0).into()),
         model(messages(2).into()),
     ]
+}
+
+#[test]
+fn an_agents_own_map_stays_whole_where_its_model_says_so() {
+    let mut model = fusing().remove(0);
+    model.arch = fcooper::Settings(Sharing {
+        compression: 4,
+        compress_own: false,
+        ..Sharing::default()
+    })
+    .into();
+    let weights = Weights::new(&model, random_tensors(&model, 7)).unwrap();
+    let mut network = Network::new(&model, &weights, NetworkOptions::default()).unwrap();
+    let mut canvas = Canvas::new(16, 32, model.pillars.channels);
+    for cell in (0..40).map(|cell| 11 * cell) {
+        canvas.cell_mut(cell / 32, cell % 32).fill(0.01 * cell as f32);
+    }
+    let own = network.encode_own(&canvas).unwrap();
+    let shared = network.share(&own).unwrap().expect("another map");
+    assert_eq!([own.channels, shared.channels], [12, 3]);
+    assert_eq!(network.encode(&canvas).unwrap(), shared);
+    assert!(own.data.iter().any(|value| *value > 0.0));
+    let far = Warp([[1.0, 0.0, 500.0], [0.0, 1.0, 0.0]]);
+    let out_of_reach = Agent {
+        warp: far,
+        ..Agent::beside(&shared)
+    };
+    let agents = [Agent::beside(&own), out_of_reach];
+    assert_eq!(network.fuse(&agents).unwrap(), own);
+    assert_ne!(network.fuse(&[Agent::beside(&shared)]).unwrap(), own);
+    let alone = network.heads_alone(&own).unwrap().clone();
+    assert_eq!(&alone, network.heads(&own).unwrap());
+    let other = BevMap { channels: 5, ..own };
+    assert!(matches!(
+        network.fuse(&[Agent::beside(&other)]),
+        Err(NetworkError::Shape { .. })
+    ));
 }
 
 /// A map, where the ego's cells lie in it, whether a roadside unit made it, and its delay in frames.

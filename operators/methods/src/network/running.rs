@@ -23,6 +23,7 @@ pub struct Network {
     core: Arc<Core>,
     pool: Arc<Mutex<Pool>>,
     encode: Box<dyn Runner>,
+    compress: Option<Box<dyn Runner>>,
     restore: Option<Box<dyn Runner>>,
     heads: Box<dyn Runner>,
     result: Heads,
@@ -53,6 +54,7 @@ impl Network {
     pub(crate) fn sharing(core: Arc<Core>, pool: Arc<Mutex<Pool>>) -> Network {
         Network {
             encode: core.encode.running(),
+            compress: core.compress.as_ref().map(Engine::running),
             restore: core.restore.as_ref().map(Engine::running),
             heads: core.heads.running(),
             result: core.result(),
@@ -98,15 +100,38 @@ impl Network {
     /// # Errors
     /// [`NetworkError::Shape`] if the canvas is not of the model's size.
     pub fn encode(&mut self, canvas: &Canvas) -> Result<BevMap, NetworkError> {
+        let kept = self.encode_own(canvas)?;
+        Ok(self.share(&kept)?.unwrap_or(kept))
+    }
+
+    /// From the canvas to the BEV map that an agent keeps for its own fusion.
+    ///
+    /// # Errors
+    /// [`NetworkError::Shape`] if the canvas is not of the model's size.
+    pub fn encode_own(&mut self, canvas: &Canvas) -> Result<BevMap, NetworkError> {
         let size = [canvas.rows(), canvas.columns(), canvas.channels()];
         check_size("the canvas", &self.core.name, size, self.core.canvas)?;
         let mut pool = lock(&self.pool);
         let data = self.encode.run(&mut pool, canvas.view()).to_f32(&mut pool);
-        Ok(map_of(self.core.features, data))
+        Ok(map_of(self.core.kept, data))
     }
 
-    /// From the maps that agents share, the ego's first, to the one that the heads read; an agent takes no part where its map
-    /// does not reach.
+    /// From the map that an agent keeps to the one that agents share; `None` if they are the same.
+    ///
+    /// # Errors
+    /// [`NetworkError::Shape`] and [`NetworkError::Length`] for a map that does not fit.
+    pub fn share<'a>(&mut self, kept: impl Into<BevView<'a>>) -> Result<Option<BevMap>, NetworkError> {
+        let Some(compress) = &mut self.compress else {
+            return Ok(None);
+        };
+        let view = plain(&self.core.name, kept.into(), self.core.kept)?;
+        let mut pool = lock(&self.pool);
+        let data = compress.run(&mut pool, view).to_f32(&mut pool);
+        Ok(Some(map_of(self.core.features, data)))
+    }
+
+    /// From the maps that agents share, or keep, the ego's first, to the one that the heads read; an agent takes no part where its
+    /// map does not reach.
     ///
     /// # Errors
     /// [`NetworkError::NoFusion`], [`NetworkError::Agents`]; [`NetworkError::Shape`] and [`NetworkError::Length`] for a map
@@ -120,25 +145,21 @@ impl Network {
         let mut pool = lock(&self.pool);
         let mut restored = Vec::new();
         for agent in agents {
-            let view = plain(&core.name, agent.map, core.features)?;
             check_confidence(agent)?;
-            if let Some(restore) = &mut self.restore {
-                let data = restore.run(&mut pool, view).to_f32(&mut pool);
-                restored.push(map_of(core.fused, data));
-            }
+            restored.push(restore(core, self.restore.as_deref_mut(), agent.map, &mut pool)?);
         }
-        let agents: Vec<Agent> = match restored.is_empty() {
-            true => agents.to_vec(),
-            false => agents
-                .iter()
-                .zip(&restored)
-                .map(|(agent, map)| agent.with(map))
-                .collect(),
-        };
+        let agents: Vec<Agent> = agents
+            .iter()
+            .zip(&restored)
+            .map(|(agent, map)| match map {
+                Some(map) => agent.with(map),
+                None => *agent,
+            })
+            .collect();
         Ok(map_of(core.fused, fuser.run(&agents, &mut pool)))
     }
 
-    /// How sure the heads are that each cell of a map that agents share holds an object, 0 to 1, `[rows, columns]`, by this map
+    /// How sure the heads are that each cell of a map that agents share or keep holds an object, 0 to 1, `[rows, columns]`, by this map
     /// alone: a fusion, which changes nothing in a single map that tells one cell from another, is left out.
     ///
     /// # Errors
@@ -147,21 +168,19 @@ impl Network {
         Ok(self.heads_alone(map)?.confidence())
     }
 
-    /// Scores and deltas of one shared map without fusion. They stay until the next call.
+    /// Scores and deltas of one shared or kept map without fusion. They stay until the next call.
     ///
     /// # Errors
     /// Those of [`Network::heads`].
     pub fn heads_alone<'a>(&mut self, map: impl Into<BevView<'a>>) -> Result<&Heads, NetworkError> {
-        let core = &*self.core;
-        let Some(restore) = &mut self.restore else {
-            return self.heads(map);
-        };
-        let view = plain(&core.name, map.into(), core.features)?;
+        let map = map.into();
         let mut pool = lock(&self.pool);
-        let data = restore.run(&mut pool, view).to_f32(&mut pool);
+        let restored = restore(&self.core, self.restore.as_deref_mut(), map, &mut pool)?;
         drop(pool);
-        let restored = map_of(core.fused, data);
-        self.heads(&restored)
+        match restored {
+            Some(restored) => self.heads(&restored),
+            None => self.heads(map),
+        }
     }
 
     /// From a BEV map to the heads, which stay until the next one. The map is read where it lies, unless the network computes
@@ -198,4 +217,20 @@ impl Network {
         });
         Ok(heads)
     }
+}
+
+/// A map that agents share as it is fused; `None` if it is already: where nothing is compressed, and where an agent has kept it whole.
+fn restore(
+    core: &Core,
+    restore: Option<&mut (dyn Runner + 'static)>,
+    map: BevView,
+    pool: &mut Pool,
+) -> Result<Option<BevMap>, NetworkError> {
+    let is_whole = core.compress.is_some() && map.channels == core.kept[2];
+    let expected = if is_whole { core.kept } else { core.features };
+    let view = plain(&core.name, map, expected)?;
+    Ok(match restore.filter(|_| !is_whole) {
+        Some(restore) => Some(map_of(core.fused, restore.run(pool, view).to_f32(pool))),
+        None => None,
+    })
 }

@@ -29,16 +29,23 @@ pub struct Settings {
     pub agents: usize,
     /// How many times fewer channels cross than the map has; 0: all of them cross.
     pub compression: usize,
+    /// Whether an agent's own map loses channels in its own fusion, too; if not, it is fused whole.
+    pub compress_own: bool,
     /// How often all agents send.
     pub rounds: usize,
 }
 
 impl Default for Settings {
     fn default() -> Self {
-        let Sharing { agents, compression } = Sharing::default();
+        let Sharing {
+            agents,
+            compression,
+            compress_own,
+        } = Sharing::default();
         Settings {
             agents,
             compression,
+            compress_own,
             rounds: 2,
         }
     }
@@ -53,6 +60,7 @@ impl Method for Settings {
         Sharing {
             agents: self.agents,
             compression: self.compression,
+            compress_own: self.compress_own,
         }
     }
 
@@ -89,10 +97,10 @@ impl Method for Settings {
     fn of_reference(config: &Value, sharing: Sharing) -> Option<Result<Self, String>> {
         let rounds = [&config["iterations"], &config["v2vfusion"]["num_iteration"]];
         let rounds = rounds.into_iter().find_map(Value::as_u64)? as usize;
-        let Sharing { agents, compression } = sharing;
         Some(Ok(Settings {
-            agents,
-            compression,
+            agents: sharing.agents,
+            compression: sharing.compression,
+            compress_own: sharing.compress_own,
             rounds,
         }))
     }

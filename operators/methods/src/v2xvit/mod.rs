@@ -51,6 +51,7 @@ impl Method for Settings {
         Sharing {
             agents: self.agents,
             compression: self.compression,
+            compress_own: self.compress_own,
         }
     }
 

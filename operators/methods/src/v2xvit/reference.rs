@@ -17,7 +17,7 @@ pub fn numbers_of(value: &Value) -> Result<Vec<usize>, String> {
 ///
 /// # Errors
 /// What is missing or of another type.
-pub fn settings_of(config: &Value, Sharing { agents, compression }: Sharing) -> Result<Settings, String> {
+pub fn settings_of(config: &Value, sharing: Sharing) -> Result<Settings, String> {
     let number = |value: &Value| numbers_of(&Value::Array(vec![value.clone()])).map(|list| list[0]);
     let (over_agents, over_windows) = (&config["cav_att_config"], &config["pwindow_att_config"]);
     let sides = numbers_of(&over_windows["window_size"])?.into_iter();
@@ -30,8 +30,9 @@ pub fn settings_of(config: &Value, Sharing { agents, compression }: Sharing) -> 
         head_width,
     });
     Ok(Settings {
-        agents,
-        compression,
+        agents: sharing.agents,
+        compression: sharing.compression,
+        compress_own: sharing.compress_own,
         depth: number(&config["depth"])?,
         blocks: number(&config["num_blocks"])?,
         heads: number(&over_agents["heads"])?,

@@ -12,6 +12,8 @@ pub struct Settings {
     pub agents: usize,
     /// How many times fewer channels cross than the map has; 0: all of them cross.
     pub compression: usize,
+    /// Whether an agent's own map loses channels in its own fusion, too; if not, it is fused whole.
+    pub compress_own: bool,
     /// Rounds of attention and feed-forward.
     pub depth: usize,
     /// Attentions over agents, then over windows, in a round.
@@ -66,6 +68,7 @@ impl Default for Settings {
         Settings {
             agents: 4,
             compression: 0,
+            compress_own: true,
             depth: 1,
             blocks: 1,
             heads: 8,

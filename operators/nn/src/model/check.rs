@@ -62,6 +62,7 @@ impl<A: Architecture> Model<A> {
             ("name", Some(&self.name)),
             ("weights", self.weights.as_ref()),
             ("encoder", self.encoder.as_ref()),
+            ("compressor", self.compressor.as_ref()),
         ];
         for (key, name) in names {
             let fits = name.is_none_or(|name| !name.is_empty() && name.chars().all(plain));
@@ -73,9 +74,11 @@ impl<A: Architecture> Model<A> {
             });
         }
         let own = self.own_weights();
-        problems.require(self.encoder.as_deref() != Some(own), || {
-            format!("encoder: expected another file than the model's own weights, found `{own}`")
-        });
+        for (key, name) in [("encoder", &self.encoder), ("compressor", &self.compressor)] {
+            problems.require(name.as_deref() != Some(own), || {
+                format!("{key}: expected another file than the model's own weights, found `{own}`")
+            });
+        }
         for (index, class) in self.classes.iter().enumerate() {
             problems.require(!class.name.is_empty(), || {
                 format!("classes[{index}].name: expected a name, found none")

@@ -24,9 +24,12 @@ impl Layers {
             width: model.backbone.channels.last().copied().unwrap_or(1),
             tensors: model.arch.tensors(channels),
         };
-        let fused = builder.fuse(layer, restored);
+        let kept = if sharing.keeps_own() { features } else { crossed };
+        let mut read = vec![restored];
+        read.extend(sharing.keeps_own().then_some(features));
+        let fused = builder.fuse(layer, read);
         let outputs = refined_heads(&mut builder, model, fused);
-        builder.finish_fused(canvas, [features, crossed, restored, fused], outputs)
+        builder.finish_fused(canvas, [features, kept, crossed, restored, fused], outputs)
     }
 }
 

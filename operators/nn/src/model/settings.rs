@@ -22,6 +22,10 @@ pub struct Model<A> {
     /// encoder a fusion learned.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub encoder: Option<String>,
+    /// Stem of another file, of which the compressor's tensors are taken that the file of weights lacks: that of a fusion whose compressor
+    /// serves others behind the same encoder.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub compressor: Option<String>,
     /// SHA-256 of files of weights by their stems, in hexadecimal digits; weights that are named here are checked when they
     /// are loaded.
     #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
@@ -210,9 +214,10 @@ impl<A: Architecture> Model<A> {
         self.weights.as_ref().unwrap_or(&self.name)
     }
 
-    /// The files of weights that lie beside a model file: the model's own, and what holds its encoder.
+    /// The files of weights that lie beside a model file: the model's own, and what holds its compressor and its encoder.
     pub fn weights_beside(&self, model_file: &Path) -> Vec<PathBuf> {
-        let stems = std::iter::once(self.own_weights()).chain(self.encoder.as_deref());
+        let others = [&self.compressor, &self.encoder].into_iter().flatten();
+        let stems = std::iter::once(self.own_weights()).chain(others.map(String::as_str));
         stems
             .map(|stem| model_file.with_file_name(format!("{stem}.safetensors")))
             .collect()

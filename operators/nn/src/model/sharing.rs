@@ -13,6 +13,8 @@ pub struct Sharing {
     pub agents: usize,
     /// How many times fewer channels cross than the map has; 0: all of them cross.
     pub compression: usize,
+    /// Whether an agent's own map loses channels in its own fusion, too, as in V2X-Real; if not, it is fused whole.
+    pub compress_own: bool,
 }
 
 impl Default for Sharing {
@@ -20,6 +22,7 @@ impl Default for Sharing {
         Sharing {
             agents: 4,
             compression: 0,
+            compress_own: true,
         }
     }
 }
@@ -36,6 +39,11 @@ impl Sharing {
             let found = self.compression;
             format!("arch.compression: expected 0 or a divisor of the map's {channels} channels, found {found}")
         });
+    }
+
+    /// Whether an agent keeps a map for its own fusion that is not the one that crosses.
+    pub(super) fn keeps_own(&self) -> bool {
+        self.compression != 0 && !self.compress_own
     }
 
     /// The map that crosses.

@@ -29,7 +29,9 @@ pub struct Settings {
 
 impl Default for Settings {
     fn default() -> Self {
-        let Sharing { agents, compression } = Sharing::default();
+        let Sharing {
+            agents, compression, ..
+        } = Sharing::default();
         Settings { agents, compression }
     }
 }
@@ -42,6 +44,7 @@ impl Method for Settings {
         Sharing {
             agents: self.agents,
             compression: self.compression,
+            ..Sharing::default()
         }
     }
 
@@ -71,7 +74,9 @@ impl Method for Settings {
     }
 
     fn of_reference(config: &Value, sharing: Sharing) -> Option<Result<Self, String>> {
-        let Sharing { agents, compression } = sharing;
+        let Sharing {
+            agents, compression, ..
+        } = sharing;
         (config["kind"] == Self::NAME).then_some(Ok(Settings { agents, compression }))
     }
 }

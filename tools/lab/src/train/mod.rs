@@ -29,7 +29,7 @@ pub struct Args {
     /// Of a recipe: put weights, curves and cards of finished stages beside it
     #[arg(long, conflicts_with = "plan")]
     install: bool,
-    /// Begin with the weights of this model file, or shipped model; missing tensors begin at random, a missing compressor as the principal components of the encoder's maps
+    /// Begin with the weights of this model file, or shipped model; missing tensors begin at random, a missing compressor as principal components of the encoder's maps
     #[arg(long, value_name = "MODEL")]
     from: Option<PathBuf>,
     /// Have the map that the heads read be like that which this detector makes of the points of all agents together

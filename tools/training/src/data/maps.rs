@@ -53,6 +53,8 @@ pub struct Member {
     pub roadside: bool,
     /// How old its map is beside the ego's, in frames of 0.1 s.
     pub delay: usize,
+    /// Whether the map is of the fusion's agent itself.
+    pub own: bool,
 }
 
 impl Member {
@@ -61,6 +63,7 @@ impl Member {
         warp: Warp::IDENTITY,
         roadside: false,
         delay: 0,
+        own: true,
     };
 }
 
@@ -80,7 +83,9 @@ pub(crate) struct Encoded {
 
 impl Encoded {
     fn agent(&self) -> Agent<'_> {
-        let Member { warp, roadside, delay } = self.member;
+        let Member {
+            warp, roadside, delay, ..
+        } = self.member;
         Agent {
             confidence: None,
             map: (&self.map).into(),
@@ -200,6 +205,7 @@ impl View {
                     },
                     roadside: place.roadside,
                     delay: place.delay,
+                    own: number == 0,
                 },
             }
         };
@@ -249,7 +255,10 @@ impl MapEncoder {
     fn encode(&mut self, look: &Look) -> Result<Encoded, TrainError> {
         let (canvas, _) = self.pillarer.run(&look.scene.points());
         Ok(Encoded {
-            map: self.network.encode(canvas)?,
+            map: match look.member.own {
+                true => self.network.encode_own(canvas)?,
+                false => self.network.encode(canvas)?,
+            },
             member: look.member,
         })
     }

@@ -535,7 +535,8 @@ pub fn write_sums(file: &Path, model: &Model, folder: &Path) -> Result<(), Train
         move |error| TrainError::Write { path, error }
     };
     let mut text = without_sums(&std::fs::read(&file).map_err(unreadable(&file))?);
-    text.extend(b"\n[sha256]   # of the files of weights, which are checked when they are loaded\n");
+    text.truncate(text.trim_ascii_end().len());
+    text.extend(b"\n\n[sha256]   # of the files of weights, which are checked when they are loaded\n");
     for path in weights(model, folder) {
         let sum = sha256(&std::fs::read(&path).map_err(unreadable(&path))?);
         let stem = path.file_stem().unwrap_or_default().to_string_lossy();
