@@ -215,9 +215,10 @@ def variance(where, name, value):
 
 def geodetic(where, name, values):
     """Latitude and longitude on WGS 84, degrees, and height over its ellipsoid, m."""
-    if any(getattr(of, "dtype", np.dtype("f8")).itemsize < 8 for of in [values, *values]):
-        refuse(where, name, "float64", "single precision, whose degrees are half a metre apart", "compute and keep it in float64")
     place = doubles(where, name, values, 3)
+    dtypes = [getattr(of, "dtype", None) for of in [values, *values]]
+    if any(dtype is not None and dtype.kind == "f" and dtype.itemsize < 8 for dtype in dtypes):
+        refuse(where, name, "float64", "single precision, whose degrees are half a metre apart", "compute and keep it in float64")
     for part, at, most in ("latitude", 0, 90), ("longitude", 1, 360), ("height", 2, 100_000):
         between(where, f"{name} ({part})", place[at:at + 1], -most, most, "degrees north, degrees east, metres over the ellipsoid")
     return place
@@ -603,11 +604,8 @@ class LogWriter:
             refuse(where, "stream", "a sensor without a mount", f"a second mount of {stream}", "mount each once, before its messages")
         self.mounted[agent, stream] = [*position, *rotation(where, "quaternion", quaternion)]
 
-    def motion(self, agent, stream, stamp, ready):
-        """A message of a motion sensor, begun. Those that nobody mounted are at the origin of the body frame."""
-        self.known(agent)
-        where = f"{stream} of `{agent}` at {stamp}"
-        stamp = self.stamp(where, stamp)
+    def motion(self, agent, stream, schema, stamp, ready, columns):
+        """Writes a message of a motion sensor. Those that nobody mounted are at the origin of the body frame."""
         frame, known = f"{agent}/{FRAMES[stream]}", self.mounted.get((agent, stream), [0, 0, 0, 0, 0, 0, 1])
         if known is not None:
             transform = Cdr(stamp, None)
@@ -617,25 +615,34 @@ class LogWriter:
             transform.fixed(known)
             self.write(agent, "tf_static", "tf2_msgs/TFMessage", stamp, ready, transform)
             self.mounted[agent, stream] = None
-        return where, stamp, Cdr(stamp, frame)
+        cdr = Cdr(stamp, frame)
+        for codes, values in columns:
+            cdr.put(codes, *values) if codes else cdr.fixed(values)
+        self.write(agent, stream, schema, stamp, ready, cdr)
+
+    def moment(self, agent, stream, stamp):
+        """Where a message of a motion sensor is, in words, and its stamp in ns."""
+        self.known(agent)
+        where = f"{stream} of `{agent}` at {stamp}"
+        return where, self.stamp(where, stamp)
 
     def imu(self, agent, stamp, angular_rate, acceleration, variances=None, ready=None):
         """A sample of an inertial unit along its own axes: rad/s, and m/s² with gravity in it, 9.8 upwards at rest. `variances` of
         white noise: of one rate and one acceleration. `stamp`: the end of the time that the sample is the mean of."""
-        where, stamp, cdr = self.motion(agent, "imu", stamp, ready)
-        rate, force = variances or (None, None)
-        eye = np.eye(3).ravel()
-        cdr.fixed([0, 0, 0, 1, -1] + [0] * 8)
-        cdr.fixed([*doubles(where, "angular_rate", angular_rate, 3), *variance(where, "variances", rate) * eye])
-        cdr.fixed([*doubles(where, "acceleration", acceleration, 3), *variance(where, "variances", force) * eye])
-        self.write(agent, "imu", "sensor_msgs/Imu", stamp, ready, cdr)
+        where, stamp = self.moment(agent, "imu", stamp)
+        if variances is not None and len(listed(where, "variances", variances, "two numbers")) != 2:
+            refuse(where, "variances", "two numbers, of a rate and an acceleration", f"{variances!r}", "None where they are not known")
+        rate, force = [variance(where, "variances", of) * np.eye(3).ravel() for of in (variances if variances is not None else [None] * 2)]
+        columns = [0, 0, 0, 1, -1] + [0] * 8, [*doubles(where, "angular_rate", angular_rate, 3), *rate], \
+            [*doubles(where, "acceleration", acceleration, 3), *force]
+        self.motion(agent, "imu", "sensor_msgs/Imu", stamp, ready, [("", column) for column in columns])
 
     def fix(self, agent, stamp, place, covariance=None, quality="single", ready=None):
         """What a satellite receiver says: latitude and longitude on WGS 84, degrees, and height over its ellipsoid, m; None without a
         position. `covariance`: 3 by 3, of east, north and up, m². `quality`: single, corrected (SBAS) or differential (also RTK)."""
         if not self.has_origin:
             refuse(f"fix of `{agent}`", "map_origin", "where the map's origin is", "none", "LogWriter(..., map_origin=[lat, lon, height])")
-        where, stamp, cdr = self.motion(agent, "fix", stamp, ready)
+        where, stamp = self.moment(agent, "fix", stamp)
         kinds = "single", "corrected", "differential"
         if quality not in kinds:
             refuse(where, "quality", f"one of {', '.join(kinds)}", f"{quality!r}", "take the nearest")
@@ -643,18 +650,16 @@ class LogWriter:
         square = given.reshape(3, 3)
         if covariance is not None and (np.abs(square - square.T).max() > 1e-6 * np.abs(square).max() or np.diag(square).min() <= 0):
             refuse(where, "covariance", "a symmetric matrix with variances above 0", f"{given.tolist()}", "of east, north and up, m²")
-        cdr.put("bH", -1 if place is None else kinds.index(quality), 1)
-        cdr.fixed([np.nan] * 3 if place is None else geodetic(where, "place", place))
-        cdr.fixed(given)
-        cdr.put("B", 0 if covariance is None else 3)
-        self.write(agent, "fix", "sensor_msgs/NavSatFix", stamp, ready, cdr)
+        place = [np.nan] * 3 if place is None else geodetic(where, "place", place)
+        status = -1 if np.isnan(place[0]) else kinds.index(quality)
+        columns = ("bH", [status, 1]), ("", place), ("", given), ("B", [0 if covariance is None else 3])
+        self.motion(agent, "fix", "sensor_msgs/NavSatFix", stamp, ready, columns)
 
     def wheels(self, agent, stamp, speed, speed_variance=None, ready=None):
         """How fast the wheels of a fixed axle say that its middle moves ahead, m/s; backwards is negative."""
-        where, stamp, cdr = self.motion(agent, "wheels", stamp, ready)
-        cdr.fixed([*doubles(where, "speed", [speed], 1)] + [0] * 5)
-        cdr.fixed([variance(where, "speed_variance", speed_variance)] + [0] * 35)
-        self.write(agent, "wheels", "geometry_msgs/TwistWithCovarianceStamped", stamp, ready, cdr)
+        where, stamp = self.moment(agent, "wheels", stamp)
+        columns = [*doubles(where, "speed", [speed], 1)] + [0] * 5, [variance(where, "speed_variance", speed_variance)] + [0] * 35
+        self.motion(agent, "wheels", "geometry_msgs/TwistWithCovarianceStamped", stamp, ready, [("", column) for column in columns])
 
     def sweep(self, agent, stamp, points, intensity=0, time=0, ring=0, ready=None, intensity_max=None):
         """`points` (n, 3) in the body frame, m; a row with NaN is a direction without a return.

@@ -17,8 +17,8 @@ from evo.tools import file_interface
 
 def evo_errors(trajectories, agent, relation):
     """Errors on the ground between an agent's two trajectories, whose poses are at the same stamps."""
-    pair = [file_interface.read_tum_trajectory_file(str(trajectories / name))
-            for name in (f"{agent}.truth.tum", f"{agent}.tum")]
+    pair = [file_interface.read_tum_trajectory_file(str(folder / f"{agent}.tum"))
+            for folder in (trajectories / "truth", trajectories)]
     for trajectory in pair:
         trajectory.project(Plane.XY)
     metric = metrics.APE(relation)
@@ -27,10 +27,10 @@ def evo_errors(trajectories, agent, relation):
 
 
 def main(run):
-    scores = json.loads((run / "result.json").read_text())["localization"]
+    scores = json.loads((run / "result.json").read_text()).get("localization", {})
     kinds = [("position_m", metrics.PoseRelation.translation_part, 2e-6),
              ("heading_deg", metrics.PoseRelation.rotation_angle_deg, 2e-5)]
-    apart = []
+    apart, compared = [], 0
     for agent, of_agent in scores.items():
         if "position_m" not in of_agent:
             continue
@@ -40,11 +40,13 @@ def main(run):
             evo = {"mean": found.mean(), "p95": found[at], "max": found[-1]}
             for name, value in evo.items():
                 ours = of_agent[key][name]
+                compared += 1
                 print(f"{agent} {key} {name}: {ours:.6f}, evo {value:.6f}")
                 if abs(ours - value) > rounding:
                     apart.append(f"{agent} {key} {name}")
-    if not scores:
-        sys.exit(f"{run}: expected a run with estimated poses (`realo run … --localization map`), found none")
+    if not compared:
+        advice = "take the folder of one ego of `realo run … --localization map` on a log with true poses"
+        sys.exit(f"{run}: expected errors of estimated poses, found none: {advice}")
     if apart:
         sys.exit("evo finds other errors: " + ", ".join(apart))
     print("evo finds the same errors")

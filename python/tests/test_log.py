@@ -346,7 +346,9 @@ class TestArguments(Case):
             (lambda log: log.imu("car", S, [0, 0], [0, 0, 9.8]), {}, ["angular_rate", "3 numbers"]),
             (lambda log: log.imu("car", S, [0, 0, 0], [0, 0, np.nan]), {}, ["acceleration", "finite"]),
             (lambda log: log.imu("car", S, [0, 0, 0], [0, 0, 9.8], variances=(1e-6, 0)), {}, ["variances", "above 0"]),
+            (lambda log: log.imu("car", S, [0, 0, 0], [0, 0, 9.8], variances=[1e-6]), {}, ["variances", "two numbers"]),
             (lambda log: log.fix("car", S, [48.1, 11.6, 500]), {}, ["map_origin", "none"]),
+            (lambda log: log.fix("car", S, 48.1), origin, ["place", "3 numbers"]),
             (lambda log: log.fix("car", S, [98.1, 11.6, 500]), origin, ["latitude", "90"]),
             (lambda log: log.fix("car", S, np.float32([48.1, 11.6, 500])), origin, ["place", "float64"]),
             (lambda log: log.fix("car", S, [48.1, 11.6, 500], quality="rtk"), origin, ["quality", "differential"]),
@@ -361,6 +363,11 @@ class TestArguments(Case):
                 self.assertIn(word, str(caught.exception))
         with self.assertRaisesRegex(ValueError, "map_origin"):
             self.writer(map_origin=[1, 2])
+        with self.writer() as log:
+            with self.assertRaisesRegex(ValueError, "angular_rate"):
+                log.imu("car", S, [0, 0], [0, 0, 9.8])
+            log.mount("car", "imu", [0, 0, 1])  # Nothing of what was refused is in the log.
+            log.imu("car", S, [0, 0, 0], [0, 0, 9.8], variances=np.array([1e-6, 1e-4]))
 
     def test_what_is_written_after_the_end_is_refused(self):
         with self.writer() as log:

@@ -99,6 +99,7 @@ pub use stamps::same;
 pub use sweeps::{SweepsInfo, intensity_scale};
 pub use timing::{Outside, no_common_time};
 pub use topics::Stream;
+pub use tracks::track_of;
 pub use truth_faults::{TRUTH_SHIFTED, TruthFault, TruthFinding, truth_faults};
 pub use words::{nearest_words, side};
 

@@ -7,7 +7,7 @@ const TEXT: u64 = 1 << 63;
 
 /// The track that an `id` names; `None` without text. `7`, `007` and pandas' `7.0` are the number 7; any other text, also a
 /// negative number, a fraction or one beyond 64 bits, is a hash of the text.
-pub(crate) fn track_of(id: &str) -> Option<u64> {
+pub fn track_of(id: &str) -> Option<u64> {
     let id = id.trim();
     match id {
         "" => None,

@@ -22,8 +22,9 @@ const TIMING_FILE: &str = "timing.json";
 const SAMPLES_FILE: &str = "evaluation.json";
 /// Folder of traces, one for each agent on another machine.
 const CHANNELS: &str = "channels";
-/// Folder of trajectories, two for each agent that estimated its poses.
+/// Folders of trajectories of agents that estimated their poses: as they said, and as it was.
 const TRAJECTORIES: &str = "trajectories";
+const TRUE_TRAJECTORIES: &str = "trajectories/truth";
 /// In the order in which they are removed; written the other way round, so that a result is never without the others.
 const FILES: [(&str, &str); 3] = [(RESULT_FILE, RESULT), (TIMING_FILE, TIMING), (SAMPLES_FILE, SAMPLES)];
 
@@ -189,11 +190,11 @@ pub fn write_run_with(folder: &Path, run: &Run, beside: &Beside) -> Result<(), F
     let courses = beside.courses.iter();
     let courses = courses.map(|(peer, course)| (format!("{peer}.csv"), Phase::trace(course)));
     write_texts(&folder.join(CHANNELS), courses)?;
-    let trajectories = beside.trajectories.iter().flat_map(|(agent, [estimated, truth])| {
-        let [of, of_truth] = ["", ".truth"].map(|kind| format!("{agent}{kind}.tum"));
-        [(of, estimated.clone()), (of_truth, truth.clone())]
-    });
-    write_texts(&folder.join(TRAJECTORIES), trajectories)?;
+    for (place, name) in [TRAJECTORIES, TRUE_TRAJECTORIES].into_iter().enumerate() {
+        let texts = beside.trajectories.iter();
+        let texts = texts.map(|(agent, texts)| (format!("{agent}.tum"), texts[place].clone()));
+        write_texts(&folder.join(name), texts)?;
+    }
     write(&folder.join(RESULT_FILE), &run.result, true)
 }
 
@@ -246,7 +247,11 @@ pub fn earlier(folder: &Path) -> Result<Vec<PathBuf>, FilesError> {
             }
         })
         .collect();
-    let below = [(CHANNELS, Phase::COLUMNS), (TRAJECTORIES, TUM)];
+    let below = [
+        (CHANNELS, Phase::COLUMNS),
+        (TRAJECTORIES, TUM),
+        (TRUE_TRAJECTORIES, TUM),
+    ];
     let texts = below
         .into_iter()
         .flat_map(|(name, begin)| texts_of(&folder.join(name), begin));

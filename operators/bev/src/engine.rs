@@ -60,7 +60,8 @@ pub enum Engine {
 }
 
 impl Engine {
-    /// The network of a model on a device; `elements`: what maps that agents share leave a GPU as.
+    /// The network of a model on a device; `elements`: what maps that agents keep leave a GPU as. Where compressed ones are shared in their
+    /// place, these leave it as f32.
     ///
     /// # Errors
     /// A device that is not there or that the build lacks, and a number type that it does not compute in.

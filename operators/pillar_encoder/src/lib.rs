@@ -30,7 +30,7 @@ pub struct Settings {
     pub computing: Computing,
     /// Whether maps hold the confidence of each cell, by which `transmission-encoder` can choose.
     pub confidence: bool,
-    /// What numbers of maps leave a GPU as: `f32`, `f16`, or `int8` with a scale for each channel of each map.
+    /// What numbers of an agent's own maps leave a GPU as, from which compressed ones are made: `f32`, `f16`, or `int8` with a scale for each channel of each map.
     pub copied: Elements,
 }
 

@@ -8,9 +8,6 @@
 //! cooperative ones in either. The boxes of the image labels are exact projections without the lens's distortion, so the
 //! views are pinholes. The vehicle's calibration does not say the size of the image; all images are 1920 × 1080.
 
-mod clouds;
-mod faults;
-mod files;
 mod index;
 mod labels;
 mod poses;
@@ -24,11 +21,11 @@ use nalgebra::Isometry3;
 use realo_logs::{AgentInfo, AgentKind, Levelled, LogInfo, LogWriter};
 use realo_schemas::{AgentState, Boxes, Nanos, PoseStatus};
 
-use self::faults::FaultsOfSweep;
 use self::index::Frame;
 use self::reading::{Checked, Pair, Reader, Sweep};
 pub use self::summary::Summary;
 use crate::ImportError;
+use crate::faults::FaultsOfSweep;
 use crate::level::Level;
 
 /// Name of the vehicle in the log.

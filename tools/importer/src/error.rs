@@ -50,6 +50,28 @@ pub enum ImportError {
         /// Whether pairs are complete.
         some: bool,
     },
+    /// Files of frames that are missing or damaged, all of them.
+    #[error(
+        "`{}`: {incomplete} of {frames} frames are incomplete; missing or damaged:\n{missing}\n{}{}",
+        .path.display(), frames_advice(*.some), logs(.written)
+    )]
+    IncompleteFrames {
+        /// The data set.
+        path: PathBuf,
+        /// Frames of which something is missing or damaged.
+        incomplete: usize,
+        /// All frames.
+        frames: usize,
+        /// A line each.
+        missing: String,
+        /// Whether frames are complete.
+        some: bool,
+        /// Logs of complete scenes, which were written.
+        written: Vec<String>,
+    },
+    /// An option that cannot be taken.
+    #[error("{0}")]
+    Option(String),
     /// The log.
     #[error(transparent)]
     Log(#[from] LogError),
@@ -61,6 +83,22 @@ fn advice(some_are_complete: bool) -> &'static str {
         false => {
             "no pair is complete: add what is missing, replace what is damaged, and see whether DIR is `cooperative-vehicle-infrastructure`"
         }
+    }
+}
+
+fn frames_advice(some_are_complete: bool) -> &'static str {
+    match some_are_complete {
+        true => "add what is missing, replace what is damaged, or leave these frames out with --skip-incomplete",
+        false => {
+            "no frame is complete: add what is missing, replace what is damaged, and see whether this is the data set's folder"
+        }
+    }
+}
+
+fn logs(written: &[String]) -> String {
+    match written {
+        [] => String::new(),
+        written => format!("; written: {}", written.join(", ")),
     }
 }
 

@@ -6,6 +6,8 @@ use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector3};
 use realo_logs::Levelled;
 use realo_schemas::geometry::{level_from_body, yaw_of};
 
+use crate::pcd::Points;
+
 /// By what a body frame is levelled.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
 pub enum Level {
@@ -56,6 +58,24 @@ pub(crate) fn by_ground(ground: &Plane) -> Isometry3<f64> {
     let heading = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw_of(&level));
     let height = -ground.offset * up.z;
     Isometry3::from_parts(Translation3::new(0.0, 0.0, height), heading.inverse() * level)
+}
+
+/// Body from sensor of a sweep; `height`: of the sensor over the ground, m, where the ground does not say it.
+pub(crate) fn body_from_sensor(
+    level: Level,
+    map_from_sensor: &UnitQuaternion<f64>,
+    height: f64,
+    cloud: &Points,
+) -> Result<Isometry3<f64>, String> {
+    Ok(match level {
+        Level::Pose => by_pose(map_from_sensor, height),
+        Level::Ground => {
+            let points = cloud.x.iter().zip(&cloud.y).zip(&cloud.z);
+            let points = points.map(|((x, y), z)| [*x, *y, *z]);
+            by_ground(&Plane::of_ground(points, BELOW_A_SENSOR)?)
+        }
+        Level::None => Translation3::new(0.0, 0.0, height).into(),
+    })
 }
 
 /// A plane z = `slope` · (x, y) + `offset`, m.

@@ -1,43 +1,44 @@
 //! `realo-lab import`: other people's data to our logs.
 
-use std::path::PathBuf;
+mod kind;
+
+use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
 use eyre::Result;
 use realo_cli::{Force, Outcome, Output, Progress, one_of, report_left_out, unfinished};
-use realo_importer::{DairOptions, DairStep, Level, RoadsideStamp};
+use realo_importer::{Importer, Level, Options};
 use realo_logs::Log;
 
+use self::kind::KindArgs;
+
 /// Imports a data set
+///
+/// A log is one run of agents on one clock. So a data set of scenes becomes a log for each: give a folder to -o, or a file where
+/// there is one scene, or --scenes chooses one.
 #[derive(clap::Args)]
+#[command(arg_required_else_help = true, args_conflicts_with_subcommands = true)]
 pub struct Args {
+    /// Name the kinds of data sets with what each needs
+    #[arg(long)]
+    list: bool,
     #[command(subcommand)]
-    source: Source,
+    source: Option<Source>,
 }
 
 #[derive(Subcommand)]
 enum Source {
-    /// DAIR-V2X-C in its original layout, images missing or not
-    Dair {
-        /// The data set's folder `cooperative-vehicle-infrastructure`
+    /// Say which kind of data set a folder is and why; with -o, import it with the options of that kind as they are by default
+    Auto {
+        /// The folder of the data set
         #[arg(value_name = "FOLDER")]
         dir: PathBuf,
-        /// The log to write
+        /// The log to write, or the folder for a log of each scene
         #[arg(short = 'o', long = "output")]
-        output: PathBuf,
+        output: Option<PathBuf>,
         #[allow(missing_docs, reason = "clap would print it")]
         #[command(flatten)]
         force: Force,
-        /// Whether the roadside stamp is the start or the end of its sweep: the data set does not say
-        #[arg(long, value_parser = one_of(RoadsideStamp::ALL), default_value = "start")]
-        roadside_stamp: RoadsideStamp,
-        /// By what the body frames of the agents are levelled: their recorded poses, a plane through the ground around the
-        /// sensor, or not at all
-        #[arg(long, value_parser = one_of(Level::ALL), default_value = "pose")]
-        level: Level,
-        /// Leave out pairs of which a cloud, a label, a calibration or an entry is missing or damaged, and say how many and why
-        #[arg(long)]
-        skip_incomplete: bool,
     },
     /// A log of realo whose body frames are not level: a copy in which they are
     Log {
@@ -53,64 +54,82 @@ enum Source {
         #[arg(long, value_parser = one_of(Level::ALL), default_value = "pose")]
         level: Level,
     },
+    #[command(flatten)]
+    Kind(KindArgs),
 }
 
 /// Writes the log and says what was taken and what was left out.
 pub fn main(args: &Args) -> Result<Outcome> {
-    let mut outcome = Outcome::Complete;
-    let output = match &args.source {
-        Source::Dair {
-            dir,
-            output,
-            force,
-            roadside_stamp,
-            level,
-            skip_incomplete,
-        } => {
-            force.check(output, Output::Log)?;
-            unfinished::end_with_signals(output);
-            let options = DairOptions {
-                roadside_stamp: *roadside_stamp,
-                level: *level,
-                skip_incomplete: *skip_incomplete,
-            };
-            let progress = Progress::new("checking", "pairs", Some(0.0));
-            let mut at = DairStep::Checking;
-            let summary = realo_importer::dair_with(dir, output, options, |step, done, all| {
-                if std::mem::replace(&mut at, step) != step {
-                    progress.rename("importing", "pairs");
-                    progress.begin(done as f64, all as f64);
-                }
-                progress.of(done as f64, all as f64);
-            });
-            progress.finish();
-            let summary = summary?;
-            unfinished::done(output);
-            println!("{summary}");
-            output
+    if args.list {
+        println!("{}", realo_importer::list());
+        return Ok(Outcome::Complete);
+    }
+    match &args.source {
+        None => Ok(Outcome::Complete),
+        Some(Source::Auto { dir, output, force }) => {
+            let seen = realo_importer::look_at(dir);
+            let importer = seen.only(dir)?;
+            println!("{seen}");
+            match output {
+                Some(output) => import(importer, dir, output, *force, &importer.kind().defaults()),
+                None => Ok(Outcome::Complete),
+            }
         }
-        Source::Log {
+        Some(Source::Log {
             log,
             output,
             force,
             level,
-        } => {
-            force.check(output, Output::Log)?;
-            unfinished::end_with_signals(output);
-            let progress = Progress::new("levelling", "s of the log", Some(0.0));
-            let done = realo_importer::relevel_with(log, output, *level, |done, all| progress.of(done, all));
-            progress.finish();
-            done?;
-            unfinished::done(output);
-            let log = &Log::open(log)?;
-            report_left_out(log);
-            if let Some(cut) = log.truncation() {
-                eprintln!("realo-lab: {}: {cut}", log.path().display());
-                outcome = Outcome::Partial;
-            }
-            output
+        }) => relevel(log, output, *force, *level),
+        Some(Source::Kind(args)) => import(args.importer, &args.dir, &args.output, args.force, &args.options()?),
+    }
+}
+
+fn import(importer: &dyn Importer, dir: &Path, output: &Path, force: Force, options: &Options) -> Result<Outcome> {
+    let job = importer.job(dir, output, options)?;
+    let outputs = job.outputs().to_vec();
+    for output in &outputs {
+        force.check(output, Output::Log)?;
+        unfinished::end_with_signals(output);
+    }
+    let unit = importer.kind().unit;
+    let progress = Progress::new("importing", unit, Some(0.0));
+    let mut at = "";
+    let imported = job.run(&mut |step, done, all| {
+        if std::mem::replace(&mut at, step) != step {
+            progress.rename(step, unit);
+            progress.begin(done as f64, all as f64);
         }
-    };
+        progress.of(done as f64, all as f64);
+    });
+    progress.finish();
+    let imported = imported?;
+    outputs.iter().for_each(|output| unfinished::done(output));
+    println!("{imported}");
+    let asked = outputs.iter().map(PathBuf::as_path);
+    let written: Vec<&Path> = imported.logs().unwrap_or_else(|| asked.collect());
+    match written[..] {
+        [log] => println!("{}", realo_logs::describe(log)?),
+        _ => written.iter().for_each(|log| println!("written: {}", log.display())),
+    }
+    Ok(Outcome::Complete)
+}
+
+fn relevel(log: &Path, output: &Path, force: Force, level: Level) -> Result<Outcome> {
+    force.check(output, Output::Log)?;
+    unfinished::end_with_signals(output);
+    let progress = Progress::new("levelling", "s of the log", Some(0.0));
+    let done = realo_importer::relevel_with(log, output, level, |done, all| progress.of(done, all));
+    progress.finish();
+    done?;
+    unfinished::done(output);
+    let log = &Log::open(log)?;
+    report_left_out(log);
+    let mut outcome = Outcome::Complete;
+    if let Some(cut) = log.truncation() {
+        eprintln!("realo-lab: {}: {cut}", log.path().display());
+        outcome = Outcome::Partial;
+    }
     println!("{}", realo_logs::describe(output)?);
     Ok(outcome)
 }

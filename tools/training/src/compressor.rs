@@ -46,13 +46,7 @@ pub(crate) fn begin(
         assert!(convolutions.is_empty(), "a compressor of {} layers", convolutions.len());
         return Ok(());
     };
-    let has = |layer: &ConvLayer| {
-        let count = layer.outputs * layer.inputs * layer.kernel * layer.kernel;
-        start
-            .find(&layer.weight_key())
-            .is_some_and(|numbers| numbers.len() == count)
-    };
-    if has(encoder) && has(decoder) {
+    if fitting(start, encoder).is_some() && fitting(start, decoder).is_some() {
         return Ok(());
     }
     let moments = moments(network, start, seed, frames)?;
@@ -64,6 +58,12 @@ pub(crate) fn begin(
     Ok(())
 }
 
+/// The weights of a layer that begin as given; others have its key and another shape.
+fn fitting<'a>(start: &'a Weights, layer: &ConvLayer) -> Option<&'a [f32]> {
+    let count = layer.outputs * layer.inputs * layer.kernel * layer.kernel;
+    start.find(&layer.weight_key()).filter(|numbers| numbers.len() == count)
+}
+
 /// How much a difference of two cells changes what the convolutions behind the fusion make of them, as a quadratic form: the sum of
 /// `w wᵀ` over their outputs and taps. A little of the identity keeps directions apart that none of them reads.
 fn readers(layers: &Layers, start: &Weights) -> DMatrix<f64> {
@@ -73,7 +73,7 @@ fn readers(layers: &Layers, start: &Weights) -> DMatrix<f64> {
         let Layer::Convolution(layer) = &step.layer else {
             continue;
         };
-        let Some(weights) = start.find(&layer.weight_key()) else {
+        let Some(weights) = fitting(start, layer) else {
             continue;
         };
         let of_norm = |part: Role| layer.norm.as_ref().and_then(|norm| start.find(&norm_key(norm, part)));

@@ -197,7 +197,7 @@ pub(crate) fn score_network(
     let anchors = Anchors::of(model);
     validate_by(model, frames, |scene| {
         let (canvas, _) = pillarer.run(&scene.points());
-        let map = network.encode(canvas)?;
+        let map = network.encode_own(canvas)?;
         let map = match model.arch.fuses() {
             true => network.fuse(&[Agent::beside(&map)])?,
             false => map,

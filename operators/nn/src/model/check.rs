@@ -74,6 +74,10 @@ impl<A: Architecture> Model<A> {
             });
         }
         let own = self.own_weights();
+        let compresses = self.arch.sharing().is_some_and(|sharing| sharing.compression != 0);
+        problems.require(self.compressor.is_none() || compresses, || {
+            "compressor: expected only with an arch.compression above 0, found none".into()
+        });
         for (key, name) in [("encoder", &self.encoder), ("compressor", &self.compressor)] {
             problems.require(name.as_deref() != Some(own), || {
                 format!("{key}: expected another file than the model's own weights, found `{own}`")

@@ -39,6 +39,10 @@ impl Sharing {
             let found = self.compression;
             format!("arch.compression: expected 0 or a divisor of the map's {channels} channels, found {found}")
         });
+        // Maps that are kept and maps that crossed are told apart by their channels.
+        problems.require(self.compress_own || self.compression != 1, || {
+            "arch.compression: expected 0 or at least 2 with compress_own = false, found 1".into()
+        });
     }
 
     /// Whether an agent keeps a map for its own fusion that is not the one that crosses.

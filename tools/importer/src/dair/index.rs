@@ -10,9 +10,9 @@ use serde::Deserialize;
 use serde::de::DeserializeOwned;
 use serde_json::Value;
 
-use super::faults::Faults;
-use super::files::{Number, local, read_json};
 use crate::ImportError;
+use crate::faults::Faults;
+use crate::files::{Number, local, read_json};
 
 const COOPERATIVE: &str = "cooperative";
 const VEHICLE_SIDE: &str = "vehicle-side";

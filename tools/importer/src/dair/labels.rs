@@ -7,8 +7,8 @@ use realo_schemas::Box3;
 use realo_schemas::geometry::{is_valid, transform_box};
 use serde::Deserialize;
 
-use super::files::{number, read_json};
 use crate::ImportError;
+use crate::files::{number, read_json};
 
 /// Labels lie no farther from their agent, m.
 const LABELLED: f64 = 1000.0;

@@ -6,8 +6,8 @@ use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector3};
 use realo_schemas::geometry::{View, tilt_degrees};
 use serde::Deserialize;
 
-use super::files::read_json;
 use crate::ImportError;
+use crate::files::read_json;
 
 /// Size of all images, pixels.
 const IMAGE: [u32; 2] = [1920, 1080];

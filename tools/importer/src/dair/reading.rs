@@ -2,18 +2,17 @@
 
 use std::path::{Path, PathBuf};
 
-use nalgebra::{Isometry3, Translation3};
+use nalgebra::Isometry3;
 use realo_schemas::geometry::{View, tilt_degrees};
 
-use super::clouds::{BodyCloud, Brightest, read_points};
-use super::faults::{Faults, FaultsOfSweep, Kind};
 use super::index::{Frame, Index, Listed};
 use super::labels::{Labels, WorldLabels, side_labels};
 use super::poses::{Camera, roadside_pose, vehicle_pose};
 use super::{ROADSIDE, VEHICLE, lidar_height};
 use crate::ImportError;
-use crate::level::{BELOW_A_SENSOR, Level, Plane, by_ground, by_pose};
-use crate::pcd::Points;
+use crate::clouds::{BodyCloud, Brightest, read_points};
+use crate::faults::{Faults, FaultsOfSweep, FileKind};
+use crate::level::{Level, body_from_sensor};
 
 /// Reads sweeps below a folder.
 pub struct Reader {
@@ -101,7 +100,7 @@ impl Reader {
             match self.read(pair) {
                 Ok((pair, clouds)) => {
                     for (brightest, cloud) in checked.brightest.iter_mut().zip(&clouds) {
-                        brightest.look_at(cloud);
+                        brightest.look_at(cloud.intensity());
                     }
                     checked.pairs.push(pair);
                 }
@@ -125,7 +124,7 @@ impl Reader {
         } = listed;
         let mut faults = FaultsOfSweep::default();
         for cloud in &alone {
-            faults.keep(Kind::Cloud, read_points(&self.dir.join(cloud)));
+            faults.keep(FileKind::Cloud, read_points(&self.dir.join(cloud)));
         }
         let mut keep = |read: Result<Sweep, FaultsOfSweep>| read.map_err(|found| faults.0.extend(found.0)).ok();
         let of_vehicle = vehicle.as_ref().and_then(|frame| keep(self.vehicle(frame)));
@@ -133,7 +132,7 @@ impl Reader {
         let (Some(vehicle), Some(roadside), Some(of_vehicle), Some(of_roadside)) =
             (vehicle, roadside, of_vehicle, of_roadside)
         else {
-            faults.keep(Kind::Labels, WorldLabels::read(&self.dir.join(truth)));
+            faults.keep(FileKind::Labels, WorldLabels::read(&self.dir.join(truth)));
             return Err(faults);
         };
         let pair = Pair {
@@ -166,20 +165,20 @@ impl Reader {
     ) -> Result<Sweep, FaultsOfSweep> {
         let mut faults = FaultsOfSweep::default();
         let path = self.dir.join(&frame.cloud);
-        let pose = faults.keep(Kind::Calibration, pose);
-        let points = faults.keep(Kind::Cloud, read_points(&path));
-        let labels = faults.keep(Kind::Labels, side_labels(&self.dir.join(&frame.labels)));
-        let camera = faults.keep(Kind::Calibration, self.camera(frame));
+        let pose = faults.keep(FileKind::Calibration, pose);
+        let points = faults.keep(FileKind::Cloud, read_points(&path));
+        let labels = faults.keep(FileKind::Labels, side_labels(&self.dir.join(&frame.labels)));
+        let camera = faults.keep(FileKind::Calibration, self.camera(frame));
         let (Some(map_from_lidar), Some(points), Some(labels), Some(camera)) = (pose, points, labels, camera) else {
             return Err(faults);
         };
         let placed = || -> Option<Sweep> {
-            let body_from_lidar = self.body_from_lidar(agent, &map_from_lidar, &points);
-            let body_from_lidar = faults.keep(Kind::Cloud, of_file(&path, body_from_lidar))?;
+            let body_from_lidar = body_from_sensor(self.level, &map_from_lidar.rotation, lidar_height(agent), &points);
+            let body_from_lidar = faults.keep(FileKind::Cloud, of_file(&path, body_from_lidar))?;
             let cloud = BodyCloud::new(points, frame.stamp, &body_from_lidar);
-            let cloud = faults.keep(Kind::Cloud, of_file(&path, cloud));
+            let cloud = faults.keep(FileKind::Cloud, of_file(&path, cloud));
             let view = camera.map(|camera| camera.view(&body_from_lidar)).transpose();
-            let view = faults.keep(Kind::Calibration, view);
+            let view = faults.keep(FileKind::Calibration, view);
             Some(Sweep {
                 map_from_body: map_from_lidar * body_from_lidar.inverse(),
                 tilt: tilt_degrees(&body_from_lidar.rotation),
@@ -202,32 +201,13 @@ impl Reader {
             .transpose()
     }
 
-    /// What makes a sweep level.
-    fn body_from_lidar(
-        &self,
-        agent: &str,
-        map_from_lidar: &Isometry3<f64>,
-        cloud: &Points,
-    ) -> Result<Isometry3<f64>, String> {
-        let height = lidar_height(agent);
-        Ok(match self.level {
-            Level::Pose => by_pose(&map_from_lidar.rotation, height),
-            Level::Ground => {
-                let points = cloud.x.iter().zip(&cloud.y).zip(&cloud.z);
-                let points = points.map(|((x, y), z)| [*x, *y, *z]);
-                by_ground(&Plane::of_ground(points, BELOW_A_SENSOR)?)
-            }
-            Level::None => Translation3::new(0.0, 0.0, height).into(),
-        })
-    }
-
     /// What both sides say of the vehicle's sweep.
     pub fn together(&self, pair: &Pair, vehicle: &Sweep) -> Result<Together, FaultsOfSweep> {
         let mut faults = FaultsOfSweep::default();
         let labels = WorldLabels::read(&self.dir.join(&pair.truth));
         let truth = labels.and_then(|labels| labels.in_body(&vehicle.map_from_body));
-        let truth = faults.keep(Kind::Labels, truth);
-        let views = faults.keep(Kind::Calibration, self.views(pair, vehicle));
+        let truth = faults.keep(FileKind::Labels, truth);
+        let views = faults.keep(FileKind::Calibration, self.views(pair, vehicle));
         let together = truth.zip(views).map(|(truth, views)| Together { truth, views });
         faults.or(together)
     }

@@ -5,8 +5,8 @@ use std::fmt;
 
 use serde::Serialize;
 
-use super::clouds::LOOKED_AT;
-use super::faults::listed;
+use crate::clouds::LOOKED_AT;
+use crate::faults::listed;
 
 /// What was imported.
 #[derive(Clone, Debug, Default, PartialEq, Eq, Serialize)]

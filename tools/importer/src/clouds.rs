@@ -5,8 +5,8 @@ use std::path::Path;
 use nalgebra::{Isometry3, Point3};
 use realo_schemas::{Nanos, PointCloud};
 
-use super::files::read;
 use crate::ImportError;
+use crate::files::read;
 use crate::pcd::{Intensities, Points, parse_points, seen};
 
 /// Clouds of a side whose brightest intensity says how all of them are scaled, as of the sweeps of a log.
@@ -57,6 +57,11 @@ impl BodyCloud {
         })
     }
 
+    /// As the file has them.
+    pub fn intensity(&self) -> &Intensities {
+        &self.intensity
+    }
+
     /// As a log has it, and how many intensities were limited to 0…255.
     pub fn scaled(self, brightest: f32) -> Result<(PointCloud, usize), String> {
         let n = self.x.len();
@@ -77,12 +82,12 @@ pub struct Brightest {
 }
 
 impl Brightest {
-    /// Looks at a cloud, if it is one of the first.
-    pub fn look_at(&mut self, cloud: &BodyCloud) {
+    /// Looks at the intensities of a cloud, if it is one of the first.
+    pub fn look_at(&mut self, intensity: &Intensities) {
         if self.clouds < LOOKED_AT {
             self.clouds += 1;
-            self.most = self.most.max(cloud.intensity.brightest().unwrap_or(0.0));
-            self.first.get_or_insert_with(|| cloud.intensity.without_values());
+            self.most = self.most.max(intensity.brightest().unwrap_or(0.0));
+            self.first.get_or_insert_with(|| intensity.without_values());
         }
     }
 

@@ -4,20 +4,20 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::io::ErrorKind;
 use std::path::Path;
 
-use super::files::EMPTY;
 use crate::ImportError;
+use crate::files::EMPTY;
 
 /// A file that cannot be used, with what it should have been.
 pub struct Fault {
     /// What its content is, if it is damaged.
-    pub kind: Kind,
+    pub kind: FileKind,
     /// What is wrong with it.
     pub error: ImportError,
 }
 
 /// What a file of the data set holds.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
-pub enum Kind {
+pub enum FileKind {
     /// Points.
     Cloud,
     /// Labels of a side or of both.
@@ -26,12 +26,12 @@ pub enum Kind {
     Calibration,
 }
 
-impl Kind {
+impl FileKind {
     fn damaged(self) -> &'static str {
         match self {
-            Kind::Cloud => "damaged cloud",
-            Kind::Labels => "damaged labels",
-            Kind::Calibration => "damaged calibration",
+            FileKind::Cloud => "damaged cloud",
+            FileKind::Labels => "damaged labels",
+            FileKind::Calibration => "damaged calibration",
         }
     }
 }
@@ -42,7 +42,7 @@ pub struct FaultsOfSweep(pub Vec<Fault>);
 
 impl FaultsOfSweep {
     /// Gives what was read, or keeps the fault.
-    pub fn keep<T>(&mut self, kind: Kind, read: Result<T, ImportError>) -> Option<T> {
+    pub fn keep<T>(&mut self, kind: FileKind, read: Result<T, ImportError>) -> Option<T> {
         read.map_err(|error| self.0.push(Fault { kind, error })).ok()
     }
 

@@ -1,4 +1,4 @@
-//! Files of the data set, and numbers as it writes them.
+//! Files of data sets, and numbers as they write them.
 
 use std::fs;
 use std::io::{Error, ErrorKind};
@@ -12,17 +12,23 @@ use crate::ImportError;
 /// The bytes of a file that must be there, and hold something.
 pub fn read(path: &Path) -> Result<Vec<u8>, ImportError> {
     let bytes = fs::read(path).map_err(ImportError::io(path))?;
-    match bytes.is_empty() {
-        true => Err(ImportError::io(path)(Error::new(ErrorKind::UnexpectedEof, EMPTY))),
+    if bytes.is_empty() {
+        return Err(ImportError::io(path)(Error::new(ErrorKind::UnexpectedEof, EMPTY)));
+    }
+    match bytes.starts_with(LFS) {
+        true => Err(ImportError::content(
+            path,
+            "expected the file itself, found a pointer of Git LFS; run `git lfs pull` in the data set",
+        )),
         false => Ok(bytes),
     }
 }
 
-/// What a file without a byte is.
-pub const EMPTY: &str = "an empty file";
+/// How a file begins that Git LFS has left in the place of another.
+const LFS: &[u8] = b"version https://git-lfs";
 
-/// A file of JSON; some editors put a mark of UTF-8 before it.
-pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, ImportError> {
+/// The text of a file; some editors put a mark of UTF-8 before it.
+pub fn read_text(path: &Path) -> Result<String, ImportError> {
     let bytes = read(path)?;
     if bytes.starts_with(&[0xff, 0xfe]) || bytes.starts_with(&[0xfe, 0xff]) {
         return Err(ImportError::content(
@@ -30,8 +36,25 @@ pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, ImportError> {
             "expected UTF-8, found UTF-16; save it as UTF-8",
         ));
     }
-    let text = bytes.strip_prefix(b"\xef\xbb\xbf").unwrap_or(&bytes);
-    serde_json::from_slice(text).map_err(|error| ImportError::content(path, error))
+    let text = String::from_utf8(bytes).map_err(|error| {
+        let at = error.utf8_error().valid_up_to();
+        ImportError::content(
+            path,
+            format!("expected UTF-8, found another byte at {at}; save it as UTF-8, or fetch it anew"),
+        )
+    })?;
+    Ok(match text.strip_prefix('\u{feff}') {
+        Some(text) => text.into(),
+        None => text,
+    })
+}
+
+/// What a file without a byte is.
+pub const EMPTY: &str = "an empty file";
+
+/// A file of JSON.
+pub fn read_json<T: DeserializeOwned>(path: &Path) -> Result<T, ImportError> {
+    serde_json::from_str(&read_text(path)?).map_err(|error| ImportError::content(path, error))
 }
 
 /// A path of the data set's lists, which some tools write with backslashes.

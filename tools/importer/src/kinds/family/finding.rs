@@ -1,0 +1,217 @@
+//! Finds scenes, agents and frames below a folder.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use realo_logs::AgentKind;
+
+use super::frame_file::FrameFile;
+use crate::scenes::{Found, Scene, SceneAgent, SweepFiles, agent_name};
+use crate::{ImportError, Options};
+
+/// Folders between the one that is given and an agent's, at most: the split, the scene, and one more.
+const DEEPEST: usize = 4;
+/// How names of label files end.
+const LABELS: &str = "yaml";
+
+/// A folder with its files and its folders.
+#[derive(Default)]
+struct Listed {
+    files: BTreeSet<String>,
+    folders: Vec<PathBuf>,
+}
+
+fn list(dir: &Path) -> Result<Listed, ImportError> {
+    let mut listed = Listed::default();
+    for entry in fs::read_dir(dir).map_err(ImportError::io(dir))? {
+        let path = entry.map_err(ImportError::io(dir))?.path();
+        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
+        match path.is_dir() {
+            // `.git`, `__MACOSX` and the like.
+            true if name.starts_with(['.', '_']) => {}
+            true => listed.folders.push(path),
+            false => drop(listed.files.insert(name)),
+        }
+    }
+    listed.folders.sort();
+    Ok(listed)
+}
+
+/// The number that a file's name is, and how it ends: `000068.yaml`, not `000068_camera0.png`.
+fn frame_of(name: &str) -> Option<(u64, &str)> {
+    let (stem, end) = name.rsplit_once('.')?;
+    let is_number = !stem.is_empty() && stem.bytes().all(|byte| byte.is_ascii_digit());
+    Some((stem.parse().ok().filter(|_| is_number)?, end))
+}
+
+impl Listed {
+    fn is_agent(&self, clouds: &[&str]) -> bool {
+        let mut frames = self.files.iter().filter_map(|name| frame_of(name));
+        frames.any(|(_, end)| end == LABELS || clouds.contains(&end))
+    }
+
+    /// Sweeps by their numbers. What is missing has the name that it should have.
+    fn sweeps(&self, dir: &Path, clouds: &[&str]) -> BTreeMap<u64, SweepFiles> {
+        let mut stems = BTreeMap::<u64, &str>::new();
+        for name in &self.files {
+            if let Some((number, end)) = frame_of(name)
+                && (end == LABELS || clouds.contains(&end))
+            {
+                stems
+                    .entry(number)
+                    .or_insert_with(|| &name[..name.len() - end.len() - 1]);
+            }
+        }
+        let sweep = |(number, stem): (u64, &str)| {
+            let ends = clouds.iter().copied();
+            let there = ends.clone().find(|end| self.files.contains(&format!("{stem}.{end}")));
+            let end = there.or(ends.clone().next()).unwrap_or_default();
+            let files = SweepFiles {
+                cloud: dir.join(format!("{stem}.{end}")),
+                labels: dir.join(format!("{stem}.{LABELS}")),
+                ..SweepFiles::default()
+            };
+            (number, files)
+        };
+        stems.into_iter().map(sweep).collect()
+    }
+}
+
+/// Whether a folder's name is an agent's: a number.
+fn is_number(name: &str) -> bool {
+    let digits = name.strip_prefix('-').unwrap_or(name);
+    !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit())
+}
+
+fn name_of(dir: &Path) -> String {
+    dir.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+/// Walks down and collects the scenes.
+struct Walk<'a> {
+    root: &'a Path,
+    clouds: Vec<&'a str>,
+    found: Found,
+}
+
+impl Walk<'_> {
+    fn walk(&mut self, dir: &Path, depth: usize) -> Result<(), ImportError> {
+        let listed = list(dir)?;
+        let mut agents = Vec::new();
+        let mut empty = Vec::new();
+        for folder in &listed.folders {
+            let inside = list(folder)?;
+            if inside.is_agent(&self.clouds) {
+                agents.push((folder.clone(), inside));
+            } else if is_number(&name_of(folder)) && inside.folders.is_empty() {
+                empty.push(folder.clone());
+            } else if depth < DEEPEST {
+                self.walk(folder, depth + 1)?;
+            }
+        }
+        for folder in empty {
+            let name = folder.strip_prefix(self.root).unwrap_or(&folder).display().to_string();
+            self.found.faults.add("folder of an agent without frames", name);
+        }
+        match agents.is_empty() {
+            true => Ok(()),
+            false => self.scene(dir, agents),
+        }
+    }
+
+    fn scene(&mut self, dir: &Path, folders: Vec<(PathBuf, Listed)>) -> Result<(), ImportError> {
+        let below: Vec<String> = dir
+            .strip_prefix(self.root)
+            .unwrap_or(dir)
+            .components()
+            .map(|part| part.as_os_str().to_string_lossy().into_owned())
+            .collect();
+        let name = match below.is_empty() {
+            true => name_of(&fs::canonicalize(dir).unwrap_or_else(|_| dir.into())),
+            false => below.join("/"),
+        };
+        let mut agents: Vec<SceneAgent> = Vec::new();
+        let mut known: Vec<(AgentKind, String, BTreeMap<u64, SweepFiles>)> = Vec::new();
+        for (folder, listed) in folders {
+            let sweeps = listed.sweeps(&folder, &self.clouds);
+            known.push((kind_of(&name_of(&folder), &sweeps), name_of(&folder), sweeps));
+        }
+        let number = |folder: &str| folder.parse::<i64>().map_or(i64::MAX, i64::abs);
+        known.sort_by_key(|(kind, folder, _)| (*kind, number(folder), folder.clone()));
+        for (kind, folder, sweeps) in known {
+            let name = agent_name(&folder, kind, |name| agents.iter().any(|agent| agent.name == name));
+            agents.push(SceneAgent {
+                folder,
+                name,
+                kind,
+                sweeps,
+            });
+        }
+        self.found.scenes.push(Scene { name, agents });
+        Ok(())
+    }
+}
+
+/// A roadside unit has a negative folder, or says so in the first of its files that can be read.
+fn kind_of(folder: &str, sweeps: &BTreeMap<u64, SweepFiles>) -> AgentKind {
+    let says = || {
+        let mut files = sweeps
+            .values()
+            .take(3)
+            .filter_map(|files| FrameFile::read(&files.labels).ok());
+        files.next().is_some_and(|file| file.is_roadside())
+    };
+    match folder.starts_with('-') || says() {
+        true => AgentKind::Roadside,
+        false => AgentKind::Vehicle,
+    }
+}
+
+/// The scenes below a folder, which may be the data set, a split, or a scene.
+///
+/// # Errors
+/// None at all, or the folder of an agent.
+pub fn find(dir: &Path, clouds: &[&'static str], options: &Options) -> Result<Found, ImportError> {
+    let mut clouds: Vec<&str> = clouds.to_vec();
+    if let Some(wanted) = options.cloud.as_deref() {
+        clouds.sort_by_key(|end| *end != wanted);
+    }
+    if list(dir)?.is_agent(&clouds) {
+        let reason = "expected a scene with a folder for each agent, found the frames of one agent; give the folder that it is in";
+        return Err(ImportError::content(dir, reason));
+    }
+    let mut walk = Walk {
+        root: dir,
+        clouds,
+        found: Found::default(),
+    };
+    walk.walk(dir, 1)?;
+    let Walk { found, clouds, .. } = walk;
+    if found.scenes.is_empty() {
+        let missing = match found.faults.by_cause.is_empty() {
+            true => String::new(),
+            false => format!("\n{}", found.faults.listed()),
+        };
+        let reason = format!(
+            "expected SCENE/AGENT/000000.yaml with 000000.{} beside it, at most {DEEPEST} folders down, found none; unpack the data \
+             set, or see what `import auto` says of this folder{missing}",
+            clouds.join(" or .")
+        );
+        return Err(ImportError::content(dir, reason));
+    }
+    Ok(found)
+}
+
+/// The first label file below a folder that can be read, for a look at its keys.
+pub fn first_labels(dir: &Path) -> Result<(PathBuf, FrameFile), String> {
+    let found = find(dir, &["pcd", "bin"], &Options::default()).map_err(|error| error.to_string())?;
+    let agents = found.scenes.iter().flat_map(|scene| &scene.agents);
+    let mut files = agents.flat_map(|agent| agent.sweeps.values().take(2));
+    let read = |files: &SweepFiles| Some((files.labels.clone(), FrameFile::read(&files.labels).ok()?));
+    files
+        .by_ref()
+        .take(20)
+        .find_map(read)
+        .ok_or_else(|| "no label file (`.yaml`) that can be read".into())
+}

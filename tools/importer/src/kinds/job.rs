@@ -1,0 +1,93 @@
+//! An import that is ready to be run, and what comes of it.
+
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use crate::dair::Summary;
+use crate::scenes::{self, Layout, SceneSummary, Work};
+use crate::{ImportError, Options};
+
+/// An import that can be run.
+pub struct Job {
+    outputs: Vec<PathBuf>,
+    run: Run,
+}
+
+type Report<'a> = &'a mut dyn FnMut(&'static str, u64, u64);
+type Run = Box<dyn FnOnce(Report) -> Result<Imported, ImportError>>;
+
+impl Job {
+    pub(super) fn new(
+        outputs: Vec<PathBuf>,
+        run: impl FnOnce(Report) -> Result<Imported, ImportError> + 'static,
+    ) -> Self {
+        Job {
+            outputs,
+            run: Box::new(run),
+        }
+    }
+
+    /// Of scenes in one of the layouts.
+    pub(super) fn of_scenes(
+        layout: &'static dyn Layout,
+        dir: &Path,
+        output: &Path,
+        options: &Options,
+    ) -> Result<Self, ImportError> {
+        let work: Work = scenes::plan(layout, dir, output, options)?;
+        let outputs = work.outputs().to_vec();
+        let run = move |report: Report| {
+            let summaries = work.run(&mut |done, all| report("importing", done, all))?;
+            Ok(Imported::Scenes(summaries, work.noted()))
+        };
+        Ok(Job::new(outputs, run))
+    }
+
+    /// The logs that it writes.
+    pub fn outputs(&self) -> &[PathBuf] {
+        &self.outputs
+    }
+
+    /// Writes the logs; calls `report` with what it is at, what is done, and all there is to do.
+    ///
+    /// # Errors
+    /// All that is missing or damaged, at once.
+    pub fn run(self, report: Report) -> Result<Imported, ImportError> {
+        (self.run)(report)
+    }
+}
+
+/// What was imported.
+#[derive(Clone, Debug, PartialEq)]
+pub enum Imported {
+    /// Of DAIR-V2X-C.
+    Dair(Summary),
+    /// Of each scene, and what is missing of the data set besides.
+    Scenes(Vec<SceneSummary>, String),
+}
+
+impl Imported {
+    /// The logs that were written; `None` where that is all that were asked for.
+    pub fn logs(&self) -> Option<Vec<&Path>> {
+        match self {
+            Imported::Dair(_) => None,
+            Imported::Scenes(scenes, _) => Some(scenes.iter().filter_map(|scene| scene.log.as_deref()).collect()),
+        }
+    }
+}
+
+impl fmt::Display for Imported {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Imported::Dair(summary) => write!(f, "{summary}"),
+            Imported::Scenes(scenes, noted) => {
+                let texts: Vec<String> = scenes.iter().map(SceneSummary::to_string).collect();
+                f.write_str(&texts.join("\n\n"))?;
+                match noted.is_empty() {
+                    true => Ok(()),
+                    false => write!(f, "\nnote: missing in the data set:\n{noted}"),
+                }
+            }
+        }
+    }
+}

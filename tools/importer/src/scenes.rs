@@ -1,0 +1,132 @@
+//! Scenes of data sets: runs of agents on one clock, with a cloud and labels for each frame.
+//!
+//! A [`Layout`] finds the files of a data set and reads one sweep of one agent. All that follows is the same for all layouts:
+//! level frames, the truth of all agents together, points on boxes, stamps, and the log.
+
+mod clock;
+mod count;
+mod frame;
+mod known;
+mod name;
+mod plan;
+mod residual;
+mod summary;
+mod truth;
+mod write;
+
+use std::collections::BTreeMap;
+use std::path::{Path, PathBuf};
+
+use nalgebra::Isometry3;
+use realo_logs::AgentKind;
+use realo_schemas::Nanos;
+use realo_schemas::geometry::View;
+
+pub use self::name::agent_name;
+pub use self::plan::{Work, plan};
+pub use self::residual::Residual;
+pub use self::summary::{AgentSummary, SceneSummary};
+use crate::faults::{Faults, FaultsOfSweep};
+use crate::pcd::Points;
+use crate::{ImportError, Options};
+
+/// A run of agents on one clock: it becomes one log.
+pub struct Scene {
+    /// Its folder below the data set's, with `/` between.
+    pub name: String,
+    /// Vehicles first.
+    pub agents: Vec<SceneAgent>,
+}
+
+/// An agent of a scene.
+pub struct SceneAgent {
+    /// Its folder, in words.
+    pub folder: String,
+    /// Its name in the log.
+    pub name: String,
+    /// What it is.
+    pub kind: AgentKind,
+    /// Its sweeps by the numbers of their frames; an agent need not have all frames of its scene.
+    pub sweeps: BTreeMap<u64, SweepFiles>,
+}
+
+/// The files of a sweep. Where one is missing, the name that it should have.
+#[derive(Clone, Default)]
+pub struct SweepFiles {
+    /// Points.
+    pub cloud: PathBuf,
+    /// Labels, or labels and pose.
+    pub labels: PathBuf,
+    /// Calibration, where the layout has a file of its own for it.
+    pub calibration: PathBuf,
+    /// Map from LiDAR, where the labels do not say it.
+    pub map_from_lidar: Option<Isometry3<f64>>,
+    /// Time since the first frame, where the layout has times.
+    pub since_first: Option<Nanos>,
+}
+
+/// A sweep as its files have it. All frames are right-handed, y to the left.
+pub struct RawSweep {
+    /// Pose of the LiDAR.
+    pub map_from_lidar: Isometry3<f64>,
+    /// In the frame of the LiDAR.
+    pub points: Points,
+    /// What the agent's side labelled.
+    pub labels: Vec<Label>,
+    /// Labels without a size or of classes that are nothing.
+    pub dropped: usize,
+    /// Where the labels could be, in the frame of the LiDAR; `None`: everywhere.
+    pub view: Option<View>,
+}
+
+/// A labelled object.
+#[derive(Clone, Debug)]
+pub struct Label {
+    /// Objects of one text are one object, whoever labelled them.
+    pub id: String,
+    /// Its identity over time, where it has one.
+    pub track: Option<u64>,
+    /// As the data set names it.
+    pub class: String,
+    /// Pose of the middle of its box.
+    pub map_from_object: Isometry3<f64>,
+    /// Length, width and height, m.
+    pub size: [f64; 3],
+    /// Along its heading, m/s, where known.
+    pub speed: Option<f64>,
+}
+
+/// What a data set has.
+#[derive(Default)]
+pub struct Found {
+    /// In the order of their names.
+    pub scenes: Vec<Scene>,
+    /// What is missing besides files of sweeps.
+    pub faults: Faults,
+}
+
+/// How a data set is laid out.
+pub trait Layout: Sync {
+    /// What the kind is, in words, for the log.
+    fn title(&self) -> &'static str;
+
+    /// Finds the scenes below a folder.
+    ///
+    /// # Errors
+    /// Another layout, or nothing.
+    fn find(&self, dir: &Path, options: &Options) -> Result<Found, ImportError>;
+
+    /// Reads a sweep.
+    ///
+    /// # Errors
+    /// All that is wrong with its files.
+    fn sweep(&self, files: &SweepFiles, options: &Options) -> Result<RawSweep, FaultsOfSweep>;
+
+    /// Whether the id of an agent's own object is the name of its folder.
+    fn agents_are_objects(&self) -> bool {
+        false
+    }
+
+    /// What else is assumed, a line each.
+    fn assumed(&self, options: &Options) -> Vec<String>;
+}

@@ -1,0 +1,70 @@
+//! What the first sweeps of an agent say of all of them: how bright they are, and how high the LiDAR is.
+
+use realo_schemas::geometry::level_from_body;
+
+use super::{Layout, RawSweep, Scene, SceneAgent};
+use crate::clouds::{Brightest, LOOKED_AT};
+use crate::level::{BELOW_A_SENSOR, Level, Plane};
+use crate::{ImportError, Options};
+
+/// Sweeps in which the ground is looked for.
+const GROUNDS: usize = 3;
+
+/// What is known of an agent.
+#[derive(Default)]
+pub struct Known {
+    /// How its intensities become bytes.
+    pub brightest: Brightest,
+    /// Height of its LiDAR over the ground, m; 0 where its frames are levelled by the ground of each sweep.
+    pub height: f64,
+}
+
+impl Known {
+    /// Reads the first sweeps of an agent; what cannot be read is reported where all sweeps are read.
+    ///
+    /// # Errors
+    /// No ground, where its height is needed.
+    pub fn of(layout: &dyn Layout, scene: &Scene, agent: &SceneAgent, options: &Options) -> Result<Self, ImportError> {
+        let (mut brightest, mut heights, mut reason) = (Brightest::default(), Vec::new(), None);
+        let wanted = agent.sweeps.iter().filter(|(number, _)| options.wants_frame(**number));
+        let needs_ground = options.level != Level::Ground && options.height_m.is_none();
+        for (_, files) in wanted.take(LOOKED_AT) {
+            let Ok(sweep) = layout.sweep(files, options) else {
+                continue;
+            };
+            brightest.look_at(&sweep.points.intensity);
+            if needs_ground && heights.len() < GROUNDS {
+                match height(&sweep, options.level) {
+                    Ok(height) => heights.push(height),
+                    Err(error) => reason = Some((files.cloud.clone(), error)),
+                }
+            }
+        }
+        heights.sort_by(f64::total_cmp);
+        let height = match (options.height_m, heights.get(heights.len() / 2), reason) {
+            (Some(height), ..) => height,
+            (None, Some(height), _) => *height,
+            (None, None, Some((cloud, reason))) => {
+                let (agent, scene) = (&agent.name, &scene.name);
+                let reason = format!(
+                    "height of the LiDAR of `{agent}` in scene `{scene}`: {reason}, or give it, as --height 1.9, which is then that of all LiDARs"
+                );
+                return Err(ImportError::content(&cloud, reason));
+            }
+            (None, None, None) => 0.0,
+        };
+        Ok(Known { brightest, height })
+    }
+}
+
+/// Height of a LiDAR over the ground, m.
+fn height(sweep: &RawSweep, level: Level) -> Result<f64, String> {
+    let level_from_lidar = match level {
+        Level::Pose => level_from_body(&sweep.map_from_lidar.rotation),
+        Level::Ground | Level::None => nalgebra::UnitQuaternion::identity(),
+    };
+    let points = &sweep.points;
+    let points = points.x.iter().zip(&points.y).zip(&points.z);
+    let points = points.map(|((x, y), z)| (level_from_lidar * nalgebra::Vector3::new(*x, *y, *z)).into());
+    Ok(-Plane::of_ground(points, BELOW_A_SENSOR)?.offset)
+}

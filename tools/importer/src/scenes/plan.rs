@@ -1,0 +1,219 @@
+//! Which scenes become which logs, and the work of writing them.
+
+use std::collections::BTreeSet;
+use std::path::{Path, PathBuf};
+
+use super::clock::Clock;
+use super::frame::numbers;
+use super::name::plain;
+use super::write::{SceneImport, all_missing};
+use super::{Found, Layout, Scene, SceneSummary};
+use crate::faults::listed;
+use crate::{ImportError, Options};
+
+/// Logs to be written.
+pub struct Work {
+    layout: &'static dyn Layout,
+    dir: PathBuf,
+    found: Found,
+    clocks: Vec<Clock>,
+    options: Options,
+    outputs: Vec<PathBuf>,
+}
+
+/// Finds the scenes that are wanted. `output`: a log, for one scene, or a folder for a log of each.
+///
+/// # Errors
+/// Another layout; scenes, agents or frames that do not exist; several scenes for one log.
+pub fn plan(layout: &'static dyn Layout, dir: &Path, output: &Path, options: &Options) -> Result<Work, ImportError> {
+    if !dir.is_dir() {
+        let found = if dir.exists() { "a file" } else { "nothing" };
+        let reason = format!("expected the folder of a data set, found {found}; give the folder that holds its scenes");
+        return Err(ImportError::content(dir, reason));
+    }
+    let mut found = layout.find(dir, options)?;
+    select_scenes(dir, &mut found.scenes, &options.scenes)?;
+    let clocks: Vec<Clock> = found.scenes.iter().map(|scene| Clock::of(scene, options)).collect();
+    select_agents(dir, &mut found.scenes, &options.agents)?;
+    let empty = found.scenes.iter().find(|scene| numbers(scene, options).is_empty());
+    if let Some(scene) = empty {
+        let all = numbers(scene, &Options::default());
+        let [from, to] = options.frames;
+        let has = match (all.first(), all.last()) {
+            (Some(first), Some(last)) => format!("{first} to {last}"),
+            _ => "none".into(),
+        };
+        let reason = format!("--frames {from}..{to}: scene `{}` has frames {has}", scene.name);
+        return Err(ImportError::content(dir, reason));
+    }
+    let outputs = outputs(dir, &found.scenes, output)?;
+    Ok(Work {
+        layout,
+        dir: dir.into(),
+        found,
+        clocks,
+        options: options.clone(),
+        outputs,
+    })
+}
+
+impl Work {
+    /// The logs, one a scene.
+    pub fn outputs(&self) -> &[PathBuf] {
+        &self.outputs
+    }
+
+    /// Writes the logs; calls `progress` with the frames that are done, and all frames.
+    ///
+    /// # Errors
+    /// All that is missing or damaged, at once; logs of scenes that are complete are written all the same.
+    pub fn run(&self, progress: &mut dyn FnMut(u64, u64)) -> Result<Vec<SceneSummary>, ImportError> {
+        let options = &self.options;
+        let all: usize = self
+            .found
+            .scenes
+            .iter()
+            .map(|scene| numbers(scene, options).len())
+            .sum();
+        let (mut done, mut summaries) = (0, Vec::new());
+        for ((scene, clock), output) in self.found.scenes.iter().zip(&self.clocks).zip(&self.outputs) {
+            if let Some(folder) = output.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+                std::fs::create_dir_all(folder).map_err(ImportError::io(folder))?;
+            }
+            let import = SceneImport::new(self.layout, &self.dir, scene, clock.clone(), options);
+            progress(done, all as u64);
+            summaries.push(import.run(output, || {
+                done += 1;
+                progress(done, all as u64);
+            })?);
+        }
+        let incomplete: usize = summaries.iter().map(|summary| summary.incomplete_frames).sum();
+        let is_found_whole = self.found.faults.by_cause.is_empty();
+        let some = summaries.iter().any(|summary| summary.frames > 0);
+        if some && (options.skip_incomplete || (incomplete == 0 && is_found_whole)) {
+            return Ok(summaries);
+        }
+        let written = summaries.iter().filter_map(|summary| summary.log.as_deref());
+        Err(ImportError::IncompleteFrames {
+            path: self.dir.clone(),
+            incomplete,
+            frames: all,
+            missing: listed(&all_missing(&summaries, &self.found.faults)),
+            some,
+            written: written.map(|log| log.display().to_string()).collect(),
+        })
+    }
+
+    /// What is missing besides files of sweeps, in words; empty without any.
+    pub fn noted(&self) -> String {
+        self.found.faults.listed()
+    }
+}
+
+/// Names as a message lists them, at most ten.
+fn names<'a>(all: impl Iterator<Item = &'a str>) -> String {
+    let all: Vec<&str> = all.collect();
+    let shown: Vec<String> = all.iter().take(10).map(|name| format!("`{name}`")).collect();
+    match all.len() > 10 {
+        true => format!("{} and {} more", shown.join(", "), all.len() - 10),
+        false => shown.join(", "),
+    }
+}
+
+fn select_scenes(dir: &Path, scenes: &mut Vec<Scene>, wanted: &[String]) -> Result<(), ImportError> {
+    let is = |scene: &Scene, name: &str| scene.name == name || scene.name.rsplit('/').next() == Some(name);
+    if let Some(name) = wanted.iter().find(|name| !scenes.iter().any(|scene| is(scene, name))) {
+        let reason = format!(
+            "--scenes: there is no scene `{name}`; there are {}",
+            names(scenes.iter().map(|scene| scene.name.as_str()))
+        );
+        return Err(ImportError::content(dir, reason));
+    }
+    scenes.retain(|scene| wanted.is_empty() || wanted.iter().any(|name| is(scene, name)));
+    Ok(())
+}
+
+/// Keeps the agents that are wanted, and the scenes that have any.
+fn select_agents(dir: &Path, scenes: &mut [Scene], wanted: &[String]) -> Result<(), ImportError> {
+    if wanted.is_empty() {
+        return Ok(());
+    }
+    for scene in scenes {
+        let all = names(scene.agents.iter().map(|agent| agent.folder.as_str()));
+        scene
+            .agents
+            .retain(|agent| wanted.contains(&agent.folder) || wanted.contains(&agent.name));
+        if scene.agents.is_empty() {
+            let reason = format!(
+                "--agents: scene `{}` has none of them; it has {all}; choose it with --scenes",
+                scene.name
+            );
+            return Err(ImportError::content(dir, reason));
+        }
+    }
+    Ok(())
+}
+
+/// Where the log of each scene goes.
+fn outputs(dir: &Path, scenes: &[Scene], output: &Path) -> Result<Vec<PathBuf>, ImportError> {
+    let is_log = output
+        .extension()
+        .is_some_and(|extension| extension.eq_ignore_ascii_case("mcap"))
+        && !output.is_dir();
+    match (is_log, scenes.len()) {
+        (true, 1) => Ok(vec![output.into()]),
+        (true, several) => {
+            let names = names(scenes.iter().map(|scene| scene.name.as_str()));
+            let reason = format!(
+                "a log is one scene, and there are {several}: {names}; give a folder to -o, or choose one with --scenes"
+            );
+            Err(ImportError::content(dir, reason))
+        }
+        (false, _) => Ok(file_names(scenes).into_iter().map(|name| output.join(name)).collect()),
+    }
+}
+
+/// A name for the log of each scene, which no other has, whatever letters file systems tell apart.
+fn file_names(scenes: &[Scene]) -> Vec<String> {
+    let mut taken = BTreeSet::new();
+    let name = |scene: &Scene| {
+        let plain = plain_path(&scene.name);
+        let numbered = (2..).map(|number| format!("{plain}_{number}"));
+        let mut free = std::iter::once(plain.clone()).chain(numbered);
+        let name = free.find(|name| taken.insert(name.to_lowercase()));
+        format!("{}.mcap", name.expect("there is always another number"))
+    };
+    scenes.iter().map(name).collect()
+}
+
+/// The name of a scene as a file's: `-` for what parts folders.
+fn plain_path(name: &str) -> String {
+    let parts: Vec<String> = name.split('/').map(plain).collect();
+    parts.join("-")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn scenes_whose_names_are_alike_as_files_have_logs_of_their_own() {
+        let scene = |name: &str| Scene {
+            name: name.into(),
+            agents: Vec::new(),
+        };
+        let scenes = ["a/b", "a-b", "A-B", "a-b_2", "场景", "地点"].map(scene);
+        let names = file_names(&scenes);
+        assert_eq!(
+            names,
+            [
+                "a-b.mcap",
+                "a-b_2.mcap",
+                "A-B_3.mcap",
+                "a-b_2_2.mcap",
+                "__.mcap",
+                "___2.mcap"
+            ]
+        );
+    }
+}

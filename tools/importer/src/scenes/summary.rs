@@ -1,0 +1,121 @@
+//! What was imported of a scene, in numbers and words.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+use super::Residual;
+use crate::clouds::LOOKED_AT;
+use crate::faults::listed;
+
+/// What was imported of an agent.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct AgentSummary {
+    /// Its folder.
+    pub folder: String,
+    /// Its name in the log.
+    pub name: String,
+    /// Sweeps.
+    pub sweeps: usize,
+    /// Points of all sweeps.
+    pub points: usize,
+    /// Labels of its own side.
+    pub labels: usize,
+    /// Height of its LiDAR over the ground, m; 0 where each sweep has its own.
+    pub height_m: f64,
+    /// How its intensities became bytes.
+    pub intensities: String,
+}
+
+/// What was imported of a scene.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct SceneSummary {
+    /// Its name.
+    pub scene: String,
+    /// The log; `None` if it was not written.
+    pub log: Option<PathBuf>,
+    /// Its agents.
+    pub agents: Vec<AgentSummary>,
+    /// Frames that are in the log.
+    pub frames: usize,
+    /// Frames that were left out, because something of them is missing or damaged.
+    pub incomplete_frames: usize,
+    /// What is missing or damaged of them, by cause.
+    pub missing: BTreeMap<String, Vec<String>>,
+    /// Boxes of the ground truths of all agents.
+    pub truth_boxes: usize,
+    /// Labels of all sides by class.
+    pub classes: BTreeMap<String, usize>,
+    /// Labels that were dropped, as they have no size or are of no object.
+    pub dropped_labels: usize,
+    /// Intensities that were limited to 0…255 after they were scaled.
+    pub limited_intensities: usize,
+    /// How well the clouds of two agents fit each other.
+    pub residuals: Vec<Residual>,
+    /// What the data set does not say, a line each.
+    pub assumed: Vec<String>,
+}
+
+impl fmt::Display for SceneSummary {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        write!(f, "scene `{}`: {} frames", self.scene, self.frames)?;
+        for agent in &self.agents {
+            let AgentSummary {
+                folder,
+                name,
+                sweeps,
+                points,
+                labels,
+                ..
+            } = agent;
+            write!(
+                f,
+                "\n`{folder}` is `{name}`: {sweeps} sweeps, {points} points, {labels} labels"
+            )?;
+            if agent.height_m > 0.0 {
+                write!(f, ", LiDAR {:.2} m over the ground", agent.height_m)?;
+            }
+            write!(f, "\nintensities of `{name}`: {}", agent.intensities)?;
+        }
+        let classes: Vec<String> = self.classes.iter().map(|(class, n)| format!("{n} {class}")).collect();
+        write!(f, "\nlabels: {}", classes.join(", "))?;
+        write!(
+            f,
+            "\ntruth: {} boxes, the labels of all agents together",
+            self.truth_boxes
+        )?;
+        for line in &self.assumed {
+            write!(f, "\nassumed: {line}")?;
+        }
+        for residual in &self.residuals {
+            write!(f, "\n{residual}")?;
+        }
+        self.left_out(f)
+    }
+}
+
+impl SceneSummary {
+    fn left_out(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        if self.dropped_labels > 0 {
+            write!(
+                f,
+                "\ndropped: {} labels without a size, or of no object",
+                self.dropped_labels
+            )?;
+        }
+        if self.limited_intensities > 0 {
+            let limited = self.limited_intensities;
+            write!(
+                f,
+                "\nlimited: {limited} intensities below 0 or brighter than those of the first {LOOKED_AT} sweeps"
+            )?;
+        }
+        if self.incomplete_frames > 0 {
+            let (frames, missing) = (self.incomplete_frames, listed(&self.missing));
+            write!(f, "\nleft out: {frames} frames; missing or damaged:\n{missing}")?;
+        }
+        Ok(())
+    }
+}

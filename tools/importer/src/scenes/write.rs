@@ -1,0 +1,269 @@
+//! Writes the log of a scene in one go: what is missing or damaged is found on the way, all of it.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use nalgebra::Isometry3;
+use realo_logs::{AgentInfo, AgentKind, Levelled, LogInfo, LogWriter};
+use realo_schemas::{AgentState, PoseStatus};
+
+use super::clock::Clock;
+use super::count::points_in_boxes;
+use super::frame::{BodySweep, Frame, numbers};
+use super::known::Known;
+use super::residual::{Placed, residual};
+use super::truth::{Itself, Labelled, truth_of};
+use super::{AgentSummary, Layout, Scene, SceneAgent, SceneSummary};
+use crate::faults::{Faults, FaultsOfSweep};
+use crate::level::Level;
+use crate::options::SweepStamp;
+use crate::{ImportError, Options};
+
+/// A scene that is to become a log.
+pub struct SceneImport<'a> {
+    pub(super) layout: &'a dyn Layout,
+    dir: &'a Path,
+    pub(super) scene: &'a Scene,
+    pub(super) options: &'a Options,
+    pub(super) clock: Clock,
+}
+
+impl<'a> SceneImport<'a> {
+    /// Of the data set in `dir`.
+    pub fn new(layout: &'a dyn Layout, dir: &'a Path, scene: &'a Scene, clock: Clock, options: &'a Options) -> Self {
+        SceneImport {
+            layout,
+            dir,
+            scene,
+            options,
+            clock,
+        }
+    }
+
+    /// Writes the log, if all frames are complete or incomplete ones are to be left out; calls `progress` after each frame.
+    ///
+    /// # Errors
+    /// Why the log cannot be written. What is missing or damaged is in the summary.
+    pub fn run(&self, output: &Path, mut progress: impl FnMut()) -> Result<SceneSummary, ImportError> {
+        let known = |agent| Known::of(self.layout, self.scene, agent, self.options);
+        let known: Vec<Known> = match self.scene.agents.iter().map(known).collect() {
+            Ok(known) => known,
+            // Other scenes may have what this one lacks.
+            Err(error) => return Ok(self.unknown(&error, progress)),
+        };
+        let mut writing = Writing {
+            log: Some(LogWriter::create_atomic(output, &self.info(&known))?),
+            import: self,
+            summary: self.summary(&known),
+            known,
+            tilts: vec![Vec::new(); self.scene.agents.len()],
+            faults: Faults::default(),
+        };
+        for number in numbers(self.scene, self.options) {
+            match self.frame(number, &writing.known) {
+                Ok(frame) => writing.frame(&frame)?,
+                Err(faults) => writing.incomplete(faults),
+            }
+            progress();
+        }
+        writing.finish(output)
+    }
+
+    /// What is said of a scene of which too little is known for a log.
+    fn unknown(&self, error: &ImportError, mut progress: impl FnMut()) -> SceneSummary {
+        let frames = numbers(self.scene, self.options).len();
+        (0..frames).for_each(|_| progress());
+        SceneSummary {
+            scene: self.scene.name.clone(),
+            incomplete_frames: frames,
+            missing: [("no height of a LiDAR".to_string(), vec![error.to_string()])].into(),
+            ..SceneSummary::default()
+        }
+    }
+
+    fn info(&self, known: &[Known]) -> LogInfo {
+        let agents = self.scene.agents.iter().zip(known);
+        let agents = agents.map(|(agent, known)| self.agent(agent, known.height)).collect();
+        let mut info = LogInfo::new(format!("{}, scene `{}`", self.layout.title(), self.scene.name), agents);
+        info.key_frames = "all".into();
+        info
+    }
+
+    fn agent(&self, agent: &SceneAgent, height: f64) -> AgentInfo {
+        let is_fixed = self.options.level != Level::Ground;
+        AgentInfo {
+            name: agent.name.clone(),
+            kind: agent.kind,
+            footprint: self.footprint(agent),
+            sensor: match is_fixed {
+                true => format!("LiDAR, {height:.2} m over the body frame"),
+                false => "LiDAR".into(),
+            },
+            sensor_position: is_fixed.then_some([0.0, 0.0, height]),
+        }
+    }
+
+    fn footprint(&self, agent: &SceneAgent) -> Option<[f64; 4]> {
+        (agent.kind == AgentKind::Vehicle).then_some(self.options.footprint)
+    }
+
+    fn summary(&self, known: &[Known]) -> SceneSummary {
+        let mut assumed = self.layout.assumed(self.options);
+        assumed.insert(0, self.clock.words(self.options));
+        assumed.push(format!("frames levelled by: {} (--level)", self.options.level));
+        let agent = |(agent, known): (&SceneAgent, &Known)| AgentSummary {
+            folder: agent.folder.clone(),
+            name: agent.name.clone(),
+            height_m: known.height,
+            intensities: known.brightest.rule(),
+            ..AgentSummary::default()
+        };
+        SceneSummary {
+            scene: self.scene.name.clone(),
+            agents: self.scene.agents.iter().zip(known).map(agent).collect(),
+            assumed,
+            ..SceneSummary::default()
+        }
+    }
+}
+
+struct Writing<'a> {
+    import: &'a SceneImport<'a>,
+    /// `None` as soon as it is known that there will be no log.
+    log: Option<LogWriter>,
+    summary: SceneSummary,
+    known: Vec<Known>,
+    /// What was levelled of each agent's sweeps, degrees.
+    tilts: Vec<Vec<f64>>,
+    faults: Faults,
+}
+
+impl Writing<'_> {
+    fn incomplete(&mut self, faults: FaultsOfSweep) {
+        self.summary.incomplete_frames += 1;
+        self.faults.extend(self.import.dir, faults);
+        if !self.import.options.skip_incomplete {
+            self.log = None;
+        }
+    }
+
+    fn frame(&mut self, (sweeps, labels): &Frame) -> Result<(), ImportError> {
+        self.summary.frames += 1;
+        for (index, sweep) in sweeps.iter().enumerate() {
+            self.sweep(sweep, index, labels)?;
+        }
+        self.overlap(sweeps, labels);
+        Ok(())
+    }
+
+    fn sweep(&mut self, sweep: &BodySweep, index: usize, labels: &[Labelled]) -> Result<(), ImportError> {
+        let SceneImport {
+            scene,
+            options,
+            clock,
+            layout,
+            ..
+        } = self.import;
+        let Some(log) = &mut self.log else { return Ok(()) };
+        let agent = &scene.agents[sweep.agent];
+        let itself = Itself {
+            footprint: self.import.footprint(agent),
+            is_object: layout.agents_are_objects(),
+        };
+        let truth = truth_of(labels, index, &itself);
+        let points = points_in_boxes(&sweep.cloud, &truth.boxes);
+        let ready = match options.stamp {
+            SweepStamp::Start => sweep.stamp.saturating_add(clock.period),
+            SweepStamp::End => sweep.stamp,
+        };
+        let (name, stamp) = (&agent.name, sweep.stamp);
+        log.pose(name, stamp, stamp, &state(labels[index].map_from_body))?;
+        log.cloud(name, stamp, ready, &sweep.cloud)?;
+        let own = &truth.boxes[..truth.own];
+        if let Some(view) = &sweep.view {
+            log.own_views(name, stamp, ready, std::slice::from_ref(view))?;
+            log.truth_views(name, stamp, ready, std::slice::from_ref(view))?;
+        }
+        log.own_labels(name, stamp, ready, own, Some(&points[..truth.own]), true)?;
+        log.truth(name, stamp, ready, &truth.boxes, Some(&points), true)?;
+        self.tilts[sweep.agent].push(sweep.tilt);
+        for object in own {
+            *self.summary.classes.entry(object.class.to_string()).or_default() += 1;
+        }
+        self.summary.truth_boxes += truth.boxes.len();
+        self.summary.dropped_labels += sweep.dropped;
+        self.summary.limited_intensities += sweep.limited;
+        let summary = &mut self.summary.agents[sweep.agent];
+        summary.sweeps += 1;
+        summary.points += sweep.cloud.len();
+        summary.labels += truth.own;
+        Ok(())
+    }
+
+    /// Compares the clouds of every two agents, once.
+    fn overlap(&mut self, sweeps: &[BodySweep], labels: &[Labelled]) {
+        let agents = &self.import.scene.agents;
+        let placed: Vec<Placed> = sweeps
+            .iter()
+            .zip(labels)
+            .map(|(sweep, labelled)| Placed {
+                name: &agents[sweep.agent].name,
+                cloud: &sweep.cloud,
+                map_from_body: labelled.map_from_body,
+            })
+            .collect();
+        for (index, a) in placed.iter().enumerate() {
+            for b in &placed[index + 1..] {
+                let is_known = |known: &super::Residual| known.agents[0] == a.name && known.agents[1] == b.name;
+                if !self.summary.residuals.iter().any(is_known) {
+                    self.summary.residuals.extend(residual(a, b));
+                }
+            }
+        }
+    }
+
+    fn finish(mut self, output: &Path) -> Result<SceneSummary, ImportError> {
+        self.summary.missing = self.faults.by_cause;
+        let level = self.import.options.level;
+        if let Some(mut log) = self.log.filter(|_| self.summary.frames > 0) {
+            let agents = self.import.scene.agents.iter().zip(&self.tilts);
+            let agents = agents.filter(|(_, tilts)| !tilts.is_empty());
+            log.levelled(
+                agents
+                    .map(|(agent, tilts)| (agent.name.clone(), levelled(level, tilts)))
+                    .collect(),
+            );
+            log.finish()?;
+            self.summary.log = Some(output.into());
+        }
+        Ok(self.summary)
+    }
+}
+
+fn levelled(level: Level, tilts: &[f64]) -> Levelled {
+    let min = tilts.iter().copied().fold(f64::INFINITY, f64::min);
+    let max = tilts.iter().copied().fold(0.0, f64::max);
+    Levelled {
+        by: level.as_str().into(),
+        degrees: [min, max],
+    }
+}
+
+fn state(map_from_body: Isometry3<f64>) -> AgentState {
+    AgentState {
+        map_from_body,
+        covariance: None,
+        velocity: None,
+        angular_rate: None,
+        status: PoseStatus::Recorded,
+    }
+}
+
+/// What is missing or damaged of all scenes, with the data set's own.
+pub fn all_missing(summaries: &[SceneSummary], found: &Faults) -> BTreeMap<String, Vec<String>> {
+    let mut all = found.by_cause.clone();
+    for (cause, names) in summaries.iter().flat_map(|summary| &summary.missing) {
+        all.entry(cause.clone()).or_default().extend(names.iter().cloned());
+    }
+    all
+}

@@ -1,0 +1,148 @@
+//! Parts of a data set, and what its stamps and classes are taken for.
+
+use realo_importer::{KINDS, list};
+use realo_logs::Log;
+
+use crate::AGENTS;
+use crate::layouts::{OPV2V, Style, pcd, write};
+use crate::reading::{import, read};
+
+#[test]
+fn each_scene_is_a_log_and_one_can_be_chosen() {
+    let dir = tempfile::tempdir().unwrap();
+    let (data, out) = (dir.path().join("data"), dir.path().join("logs"));
+    OPV2V.write(&data.join("train/2021_08_16_22_26_54"), &AGENTS);
+    OPV2V.write(&data.join("test/2021_08_18_19_48_05"), &AGENTS[..2]);
+    let log = dir.path().join("one.mcap");
+    let error = import("opv2v", &data, &log, &[]).unwrap_err();
+    assert!(
+        error.contains("a log is one scene, and there are 2: `test/2021_08_18_19_48_05`, `train/"),
+        "{error}"
+    );
+    import("opv2v", &data, &out, &[]).unwrap();
+    for name in ["train-2021_08_16_22_26_54.mcap", "test-2021_08_18_19_48_05.mcap"] {
+        Log::open(out.join(name)).unwrap();
+    }
+    let chosen = import(
+        "opv2v",
+        &data,
+        &log,
+        &[("scenes", "2021_08_16_22_26_54"), ("agents", "650,rsu_1")],
+    )
+    .unwrap();
+    assert_eq!(
+        (chosen.len(), chosen[0].scene.as_str()),
+        (1, "train/2021_08_16_22_26_54")
+    );
+    let names: Vec<String> = Log::open(&log)
+        .unwrap()
+        .info()
+        .agents
+        .iter()
+        .map(|agent| agent.name.clone())
+        .collect();
+    assert_eq!(names, ["cav_650", "rsu_1"]);
+    for (set, named) in [
+        (
+            ("scenes", "2020"),
+            "--scenes: there is no scene `2020`; there are `test/2021_08_18_19_48_05`",
+        ),
+        (("agents", "7"), "has none of them; it has `641`, `650`"),
+        (
+            ("frames", "0..9"),
+            "--frames 0..9: scene `test/2021_08_18_19_48_05` has frames 68 to 72",
+        ),
+        (("rate", "fast"), "--rate: expected 0.1 to 1000 Hz, found `fast`"),
+        (
+            ("roadside-stamp", "end"),
+            "--roadside-stamp: `opv2v` does not take it; it takes --scenes",
+        ),
+    ] {
+        let error = import("opv2v", &data, &out, &[set]).unwrap_err();
+        assert!(error.contains(named), "{named} is not in\n{error}");
+    }
+}
+
+#[test]
+fn stamps_heights_and_classes_can_be_told_otherwise() {
+    let dir = tempfile::tempdir().unwrap();
+    let (data, out) = (dir.path().join("data"), dir.path().join("out.mcap"));
+    OPV2V.write(&data.join("scene"), &AGENTS);
+    let set = [
+        ("frames", "70.."),
+        ("rate", "20"),
+        ("stamp", "end"),
+        ("height", "1.9"),
+        ("class", "Van"),
+        ("level", "none"),
+    ];
+    let summary = &import("opv2v", &data, &out, &set).unwrap()[0];
+    let (log, found) = read(&out);
+    let start = 1_577_836_800_000_000_000;
+    let stamps: Vec<i64> = found.keys().map(|(_, stamp)| stamp - start).collect();
+    assert_eq!(
+        stamps[..2],
+        [50_000_000, 100_000_000],
+        "a part has the stamps of the whole"
+    );
+    for ((_, stamp), read) in &found {
+        assert_eq!(read.ready, *stamp);
+        assert!(read.truth.iter().all(|object| &*object.class == "Van"));
+    }
+    assert_eq!(log.info().agents[0].sensor_position, Some([0.0, 0.0, 1.9]));
+    assert_eq!(log.levelled().unwrap()["cav_641"].by, "none");
+    let said = summary.to_string();
+    for line in [
+        "assumed: stamps: number 68 is at 1 January 2020, for the scene's name has no date; numbers rise by 2 each 0.0500 s; a stamp \
+         is the end of its sweep (--rate, --stamp)",
+        "assumed: data set: left-handed, y to the right",
+        "assumed: objects without a class are `Van` (--class)",
+        "overlap of `cav_641` with `cav_650`: median distance of 0.0",
+    ] {
+        assert!(said.contains(line), "{line} is not in\n{said}");
+    }
+}
+
+#[test]
+fn the_list_has_every_kind_with_what_it_needs() {
+    let list = list();
+    for importer in KINDS {
+        let kind = importer.kind();
+        assert!(
+            list.contains(kind.name) && list.contains(kind.title) && list.contains(kind.needs),
+            "{list}"
+        );
+    }
+}
+
+/// How long a frame of four agents with 60,000 points each takes; run it alone.
+#[test]
+#[ignore = "measures"]
+fn a_frame_of_four_agents_takes_at_most_60_ms() {
+    let dir = tempfile::tempdir().unwrap();
+    let (data, out) = (dir.path().join("data"), dir.path().join("out.mcap"));
+    let style = Style { frames: 40, ..OPV2V };
+    let agents = ["641", "650", "660", "670"].map(|folder| crate::world::Agent { folder, ..AGENTS[0] });
+    style.write(&data.join("scene"), &agents);
+    for (number, agent) in agents.iter().enumerate() {
+        for frame in 0..style.frames {
+            let points: Vec<[f32; 3]> = style
+                .points(agent, frame, number)
+                .into_iter()
+                .cycle()
+                .take(60_000)
+                .collect();
+            let name = format!("scene/{}/{:06}.pcd", agent.folder, 68 + 2 * frame);
+            write(&data.join(name), &pcd(&points));
+        }
+    }
+    let begin = std::time::Instant::now();
+    let summary = &import("opv2v", &data, &out, &[]).unwrap()[0];
+    let points: usize = summary.agents.iter().map(|agent| agent.points).sum();
+    let seconds = begin.elapsed().as_secs_f64();
+    eprintln!(
+        "{:.1} ms a frame, {:.1} million points a second",
+        seconds * 1e3 / 40.0,
+        points as f64 / seconds / 1e6
+    );
+}

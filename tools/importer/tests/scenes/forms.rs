@@ -1,0 +1,290 @@
+//! Forms that sets of the family have, and what editors and libraries make of their files.
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use realo_importer::look_at;
+use realo_logs::{AgentKind, Log};
+
+use crate::AGENTS;
+use crate::layouts::{OPV2V, Style, V2V4REAL, V2X_REAL, pcd, write};
+use crate::reading::{import, read};
+use crate::round_trip::edit;
+use crate::world::Agent;
+
+struct Made {
+    dir: tempfile::TempDir,
+}
+
+impl Made {
+    /// A scene of OPV2V of the first two agents.
+    fn new(style: &Style) -> Self {
+        let made = Made {
+            dir: tempfile::tempdir().unwrap(),
+        };
+        style.write(&made.scene(), &AGENTS[..2]);
+        made
+    }
+
+    fn scene(&self) -> PathBuf {
+        self.dir.path().join("data").join("Szene 7 – Süd")
+    }
+
+    fn out(&self) -> PathBuf {
+        self.dir.path().join("out.mcap")
+    }
+
+    fn import(&self, set: &[(&str, &str)]) -> Result<realo_importer::SceneSummary, String> {
+        Ok(import("opv2v", &self.dir.path().join("data"), &self.out(), set)?.remove(0))
+    }
+
+    fn labels(&self, folder: &str, number: u64) -> PathBuf {
+        self.scene().join(folder).join(format!("{number:06}.yaml"))
+    }
+}
+
+/// What matters of a log: agents, poses, points, boxes.
+fn content(path: &Path) -> Vec<String> {
+    let (_, found) = read(path);
+    let line = |((agent, stamp), read): (&(String, i64), &crate::reading::Read)| {
+        let boxes: Vec<_> = read
+            .truth
+            .iter()
+            .map(|object| (object.track, object.center, object.yaw))
+            .collect();
+        format!(
+            "{agent} {stamp} {:?} {} {boxes:?}",
+            read.map_from_body,
+            read.cloud.as_ref().unwrap().len()
+        )
+    };
+    found.iter().map(line).collect()
+}
+
+#[test]
+fn marks_line_ends_tags_and_missing_fields_change_nothing() {
+    let made = Made::new(&OPV2V);
+    made.import(&[]).unwrap();
+    let plain = content(&made.out());
+    let file = made.labels("641", 68);
+    edit(&file, |text| format!("\u{feff}{}", text.replace('\n', "\r\n")));
+    // Other frames' files, and images, are not frames.
+    let scene = made.scene();
+    write(&scene.join("data_protocol.yaml"), b"additional: yes\n");
+    write(&scene.join("641/000068_camera0.png"), b"");
+    write(&scene.join("641/000068_additional.yaml"), b"[");
+    let six: Vec<f64> = AGENTS[1].at(0).to_vec();
+    let [x, y, z, roll, yaw, pitch] = six[..] else { panic!() };
+    let six = [x, -y, z, -roll, -yaw, pitch];
+    let bytes: Vec<u8> = six.iter().flat_map(|number: &f64| number.to_le_bytes()).collect();
+    edit(&made.labels("650", 68), |text| {
+        let (before, after) = text.split_once("lidar_pose:\n").unwrap();
+        let (_, after) = after.split_once("predicted_ego_pos").unwrap();
+        format!("{before}lidar_pose: {}predicted_ego_pos{after}", numpy(&bytes))
+    });
+    made.import(&[]).unwrap();
+    assert_eq!(content(&made.out()), plain);
+}
+
+/// Six doubles as a numpy array in YAML.
+fn numpy(bytes: &[u8]) -> String {
+    const LETTERS: &[u8] = b"ABCDEFGHIJKLMNOPQRSTUVWXYZabcdefghijklmnopqrstuvwxyz0123456789+/";
+    let letters = |three: &[u8]| {
+        let bits = three.iter().fold(0_u32, |bits, byte| bits << 8 | u32::from(*byte));
+        [18, 12, 6, 0].map(|shift| char::from(LETTERS[(bits >> shift & 63) as usize]))
+    };
+    let text: String = bytes.chunks_exact(3).flat_map(letters).collect();
+    format!(
+        "!!python/object/apply:numpy.core.multiarray._reconstruct
+  args:
+  - !!python/name:numpy.ndarray ''
+  - !!python/tuple
+    - 0
+  - !!binary |
+    Yg==
+  state: !!python/tuple
+  - 1
+  - !!python/tuple
+    - 6
+  - &id001 !!python/object/apply:numpy.dtype
+    args:
+    - f8
+    - false
+    - true
+    state: !!python/tuple
+    - 3
+    - <
+    - null
+    - null
+    - null
+    - -1
+    - -1
+    - 0
+  - false
+  - !!binary |
+    {text}
+"
+    )
+}
+
+#[test]
+fn v2xset_and_adver_city_name_their_roadside_units_each_in_its_way() {
+    let roadside = |style: Style, folder| {
+        let dir = tempfile::tempdir().unwrap();
+        let agents = [AGENTS[0], Agent { folder, ..AGENTS[2] }];
+        style.write(&dir.path().join("data/scene"), &agents);
+        let out = dir.path().join("out.mcap");
+        import("opv2v", &dir.path().join("data"), &out, &[]).unwrap();
+        let agents = Log::open(&out).unwrap().info().agents.clone();
+        agents
+            .into_iter()
+            .map(|agent| (agent.name, agent.kind))
+            .collect::<Vec<_>>()
+    };
+    let expected = |name: &str| {
+        vec![
+            ("cav_641".to_string(), AgentKind::Vehicle),
+            (name.to_string(), AgentKind::Roadside),
+        ]
+    };
+    let v2xset = Style {
+        digits: 5,
+        first: 1,
+        ..OPV2V
+    };
+    assert_eq!(roadside(v2xset, "-1"), expected("rsu_1"));
+    let adver_city = Style {
+        head: |folder| if folder == "3" { "RSU: true\n" } else { "RSU: false\n" },
+        class_key: Some("object_type"),
+        ..OPV2V
+    };
+    assert_eq!(roadside(adver_city, "3"), expected("rsu_3"));
+}
+
+#[test]
+fn other_keys_of_the_pose_are_taken_and_an_estimate_only_if_named() {
+    for key in ["true_ego_pos", "true_ego_pose"] {
+        let made = Made::new(&Style { pose_key: key, ..OPV2V });
+        made.import(&[]).unwrap();
+    }
+    let made = Made::new(&Style {
+        pose_key: "my_pose",
+        ..OPV2V
+    });
+    let error = made.import(&[]).unwrap_err();
+    assert!(
+        error.contains("expected the pose of the LiDAR") && error.contains("--pose-key"),
+        "{error}"
+    );
+    made.import(&[("pose-key", "my_pose")]).unwrap();
+    made.import(&[("pose-key", "predicted_ego_pos")]).unwrap();
+}
+
+#[test]
+fn agents_appear_and_vanish_and_frames_may_have_no_object() {
+    let made = Made::new(&OPV2V);
+    for end in ["yaml", "pcd"] {
+        fs::remove_file(made.labels("650", 68).with_extension(end)).unwrap();
+        fs::remove_file(made.labels("641", 72).with_extension(end)).unwrap();
+    }
+    edit(&made.labels("641", 68), |text| {
+        format!("{}vehicles: {{}}\n", text.split_once("vehicles:").unwrap().0)
+    });
+    let summary = made.import(&[]).unwrap();
+    assert_eq!(
+        (summary.frames, summary.agents[0].sweeps, summary.agents[1].sweeps),
+        (3, 2, 2)
+    );
+    let (_, found) = read(&made.out());
+    assert!(
+        found.values().next().unwrap().truth.is_empty(),
+        "the first frame has one agent, that labelled nothing"
+    );
+}
+
+#[test]
+fn places_of_the_size_of_utm_keep_their_millimetres() {
+    let far = AGENTS.map(|agent| {
+        let [x, y, z, roll, yaw, pitch] = agent.six;
+        Agent {
+            six: [x + 500_000.123, y + 5_400_000.456, z, roll, yaw, pitch],
+            labels: &[],
+            ..agent
+        }
+    });
+    let dir = tempfile::tempdir().unwrap();
+    let style = Style {
+        left_handed: false,
+        agents_are_objects: false,
+        ..OPV2V
+    };
+    style.write(&dir.path().join("data/scene"), &far[..1]);
+    let out = dir.path().join("out.mcap");
+    import("opv2v", &dir.path().join("data"), &out, &[("handed", "right")]).unwrap();
+    let (_, found) = read(&out);
+    let at = found.values().next().unwrap().map_from_body.translation.vector;
+    assert!(
+        (at.x - 500_000.123).abs() < 1e-6 && (at.y - 5_400_000.456).abs() < 1e-6,
+        "{at}"
+    );
+    // Points in the map do not fit single precision, and are not a LiDAR's.
+    let cloud = dir.path().join("data/scene/641/000068.pcd");
+    fs::write(&cloud, pcd(&[[500_000.1, 5_400_000.0, 3.0]; 3])).unwrap();
+    let error = import(
+        "opv2v",
+        &dir.path().join("data"),
+        &out,
+        &[("handed", "right"), ("height", "1.9")],
+    )
+    .unwrap_err();
+    assert!(
+        error.contains("000068.pcd: expected points within 100000 m of the LiDAR"),
+        "{error}"
+    );
+}
+
+#[test]
+fn points_and_poses_of_different_hands_do_not_overlap() {
+    let made = Made::new(&OPV2V);
+    for folder in ["641", "650"] {
+        let agent = AGENTS.iter().position(|agent| agent.folder == folder).unwrap();
+        for frame in 0..3 {
+            let points = OPV2V.points(&AGENTS[agent], frame, agent);
+            let turned: Vec<[f32; 3]> = points.into_iter().map(|[x, y, z]| [x, -y, z]).collect();
+            fs::write(made.labels(folder, 68 + 2 * frame).with_extension("pcd"), pcd(&turned)).unwrap();
+        }
+    }
+    let summary = made.import(&[]).unwrap();
+    let residual = &summary.residuals[0];
+    assert!(residual.metres.is_none_or(|metres| metres > 0.5), "{residual}");
+    assert!(summary.to_string().contains("try --handed"), "{summary}");
+}
+
+#[test]
+fn a_folder_says_what_it_is() {
+    let dir = tempfile::tempdir().unwrap();
+    let level = |folder| Agent {
+        folder,
+        six: [0.0, 0.0, 1.9, 0.0, 10.0, 0.0],
+        ..AGENTS[0]
+    };
+    for (kind, style, agents) in [
+        ("opv2v", OPV2V, AGENTS.to_vec()),
+        ("v2x-real", V2X_REAL, AGENTS.to_vec()),
+        ("v2v4real", V2V4REAL, vec![level("0")]),
+    ] {
+        let data = dir.path().join(kind);
+        style.write(&data.join("test/scene"), &agents);
+        let seen = look_at(&data);
+        let only = seen.only(&data).unwrap_or_else(|error| panic!("{error}"));
+        assert_eq!(only.kind().name, kind, "{seen}");
+        assert!(seen.to_string().starts_with(&format!("it is `{kind}`: ")), "{seen}");
+        assert!(
+            seen.to_string()
+                .contains("it is not `dair`: there is no `cooperative/data_info.json`"),
+            "{seen}"
+        );
+    }
+    let error = look_at(dir.path().parent().unwrap().join("nowhere").as_path());
+    assert!(error.fits.is_empty());
+}
