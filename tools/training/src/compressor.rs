@@ -50,7 +50,7 @@ pub(crate) fn begin(
         return Ok(());
     }
     let moments = moments(network, start, seed, frames)?;
-    let principal = moments.principal(encoder.outputs, &readers(&layers, start));
+    let principal = moments.principal(encoder.outputs, &readers(layers, start));
     let numbers = principal.numbers(&convolutions);
     for (key, numbers) in numbers {
         network.set(network.place(&key), numbers)?;

@@ -229,8 +229,6 @@ fn restore(
     let is_whole = core.compress.is_some() && map.channels == core.kept[2];
     let expected = if is_whole { core.kept } else { core.features };
     let view = plain(&core.name, map, expected)?;
-    Ok(match restore.filter(|_| !is_whole) {
-        Some(restore) => Some(map_of(core.fused, restore.run(pool, view).to_f32(pool))),
-        None => None,
-    })
+    let restore = restore.filter(|_| !is_whole);
+    Ok(restore.map(|restore| map_of(core.fused, restore.run(pool, view).to_f32(pool))))
 }

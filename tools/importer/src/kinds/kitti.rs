@@ -14,7 +14,7 @@ use realo_schemas::Nanos;
 use self::calibration::{Calibration, poses, times};
 use self::labels::labels;
 use super::{Importer, Job, Kind};
-use crate::faults::{Faults, FaultsOfSweep, FileKind};
+use crate::faults::{FaultsOfSweep, FileKind};
 use crate::rows::read_rows;
 use crate::scenes::{Found, Layout, RawSweep, Scene, SceneAgent, SweepFiles};
 use crate::{ImportError, Options};
