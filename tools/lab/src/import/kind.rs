@@ -52,7 +52,6 @@ fn command(kind: &'static Kind) -> Command {
             false => "The log to write",
         });
     let command = Command::new(kind.name)
-        .about(kind.title)
         .after_help(format!("Needs {}", kind.needs))
         .arg(dir)
         .arg(output);
@@ -60,7 +59,9 @@ fn command(kind: &'static Kind) -> Command {
         .options
         .iter()
         .filter_map(|(name, default)| Some((option_info(name)?, *default)));
-    Force::augment_args(options.fold(command, |command, (info, default)| command.arg(arg(info, default))))
+    let command = options.fold(command, |command, (info, default)| command.arg(arg(info, default)));
+    // Arguments of a struct bring its text along.
+    Force::augment_args(command).about(kind.title).long_about(None)
 }
 
 fn arg(info: &'static OptionInfo, default: &'static str) -> Arg {
