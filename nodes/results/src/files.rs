@@ -172,7 +172,7 @@ pub fn write_run(folder: impl AsRef<Path>, run: &Run) -> Result<(), FilesError> 
 
 /// What else a run's folder has for other programs.
 #[derive(Debug, Default)]
-pub struct Beside {
+pub(crate) struct Beside {
     /// By agent on another machine, what its way was like: a trace that `link` replays.
     pub courses: BTreeMap<String, Vec<Phase>>,
     /// By agent, where it said that it was, and where it was: texts in TUM's form.
@@ -183,7 +183,7 @@ pub struct Beside {
 ///
 /// # Errors
 /// As [`write_run`].
-pub fn write_run_with(folder: &Path, run: &Run, beside: &Beside) -> Result<(), FilesError> {
+pub(crate) fn write_run_with(folder: &Path, run: &Run, beside: &Beside) -> Result<(), FilesError> {
     claim(folder)?;
     write(&folder.join(SAMPLES_FILE), &run.samples, false)?;
     write(&folder.join(TIMING_FILE), &run.timing, true)?;

@@ -8,12 +8,13 @@ use realo_scoring::{EvaluationReport, TOPIC};
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
+use crate::files::{Beside, write_run_with};
 use crate::localization::Estimates;
 use crate::progress::Progress;
 use crate::timing::Pace;
 use crate::{
-    Beside, Cooperation, EdgeBooks, GraphStages, Ledger, NodeSummary, ResultsError, Run, RunResult, Samples, Timing,
-    TimingSamples, add_name, claim, link_books, write_run_with,
+    Cooperation, EdgeBooks, GraphStages, Ledger, NodeSummary, ResultsError, Run, RunResult, Samples, Timing,
+    TimingSamples, add_name, claim, link_books,
 };
 
 /// Settings of [`Results`].

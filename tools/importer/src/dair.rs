@@ -17,9 +17,8 @@ mod summary;
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use nalgebra::Isometry3;
 use realo_logs::{AgentInfo, AgentKind, Levelled, LogInfo, LogWriter};
-use realo_schemas::{AgentState, Boxes, Nanos, PoseStatus};
+use realo_schemas::{Boxes, Nanos};
 
 use self::index::Frame;
 use self::reading::{Checked, Pair, Reader, Sweep};
@@ -27,6 +26,7 @@ pub use self::summary::Summary;
 use crate::ImportError;
 use crate::faults::FaultsOfSweep;
 use crate::level::Level;
+use crate::places::recorded;
 
 /// Name of the vehicle in the log.
 pub const VEHICLE: &str = "vehicle";
@@ -268,7 +268,8 @@ impl Import {
             view,
         } = sweep;
         self.tilts.entry(agent).or_default().push(tilt);
-        self.log.pose(agent, frame.stamp, frame.stamp, &state(map_from_body))?;
+        self.log
+            .pose(agent, frame.stamp, frame.stamp, &recorded(map_from_body))?;
         let brightest = self.brightest[usize::from(agent == ROADSIDE)];
         let (cloud, limited) = cloud
             .scaled(brightest)
@@ -290,14 +291,4 @@ impl Import {
 /// A file that could be read when all were checked, and cannot any more.
 fn changed(faults: FaultsOfSweep) -> ImportError {
     faults.first().expect("what cannot be read has a fault")
-}
-
-fn state(map_from_body: Isometry3<f64>) -> AgentState {
-    AgentState {
-        map_from_body,
-        covariance: None,
-        velocity: None,
-        angular_rate: None,
-        status: PoseStatus::Recorded,
-    }
 }

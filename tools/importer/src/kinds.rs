@@ -77,11 +77,11 @@ pub trait Importer: Sync {
 }
 
 /// All kinds.
-pub const KINDS: &[&dyn Importer] = &[
+pub static KINDS: &[&dyn Importer] = &[
     &dair::Dair,
-    &opv2v::Opv2v,
-    &v2x_real::V2xReal,
-    &v2v4real::V2v4Real,
+    &opv2v::OPV2V,
+    &v2x_real::V2X_REAL,
+    &v2v4real::V2V4REAL,
     &kitti::Kitti,
 ];
 

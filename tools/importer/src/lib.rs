@@ -13,6 +13,7 @@ mod kinds;
 mod level;
 mod options;
 mod pcd;
+mod places;
 mod relevel;
 mod rows;
 mod scenes;

@@ -8,6 +8,7 @@ use serde::Deserialize;
 
 use crate::ImportError;
 use crate::files::read_json;
+use crate::places::{MOST_TILT, ORTHONORMAL, WORLD, is_rotation};
 
 /// Size of all images, pixels.
 const IMAGE: [u32; 2] = [1920, 1080];
@@ -21,21 +22,13 @@ fn compose((r1, t1): &Parts, (r2, t2): &Parts) -> Parts {
     (r1 * r2, r1 * t2 + t1)
 }
 
-/// How far from the identity the product of a LiDAR's rotation and its transpose may be; the files' are orthonormal to 2e-7.
-const ORTHONORMAL: f64 = 0.01;
-/// The same of a camera's: the rotations to roadside cameras are skewed, with a determinant of 0.81.
+/// [`ORTHONORMAL`] of a camera's: the rotations to roadside cameras are skewed, with a determinant of 0.81.
 const SKEWED: f64 = 0.5;
-/// No place lies farther from the origin of the world, m: twice around the Earth.
-const WORLD: f64 = 8e7;
-/// No LiDAR is mounted at a greater tilt, degrees.
-const MOST_TILT: f64 = 45.0;
 
 /// A calibration from a file, whose rotation is one but for so much.
 fn calibration(path: &Path, transform: &Transform, skew: f64) -> Result<Parts, ImportError> {
     let (rotation, translation) = transform.parts();
-    let off = (rotation * rotation.transpose() - Matrix3::identity()).abs().max();
-    // A NaN is not near either.
-    if !(off <= skew && rotation.determinant() > 0.0) {
+    if !is_rotation(&rotation, skew) {
         let reason = format!(
             "rotation: expected an orthonormal matrix (within {skew}) with a positive determinant, found {:?} with determinant {:.3}",
             transform.rotation,

@@ -9,11 +9,11 @@ use std::path::Path;
 use nalgebra::Isometry3;
 use realo_logs::track_of;
 
-use self::finding::find;
-pub use self::finding::first_labels;
+use self::finding::{find, first_labels};
 pub use self::frame_file::FrameFile;
 use self::frame_file::Object;
 use self::poses::{mirrored, world_from_six};
+use super::{Importer, Job, Kind};
 use crate::clouds::read_points;
 use crate::faults::{FaultsOfSweep, FileKind};
 use crate::options::Handed;
@@ -47,8 +47,57 @@ pub struct Family {
     pub note: Option<&'static str>,
 }
 
+/// A kind of the family.
+pub struct FamilyKind {
+    /// What it is.
+    pub kind: &'static Kind,
+    /// How it differs.
+    pub family: &'static Family,
+    /// Why a label file is of this kind, or why it is not.
+    pub recognise: fn(&Path, &FrameFile) -> Result<String, String>,
+}
+
+impl Importer for FamilyKind {
+    fn kind(&self) -> &'static Kind {
+        self.kind
+    }
+
+    fn recognise(&self, dir: &Path) -> Result<String, String> {
+        let (path, file) = first_labels(dir)?;
+        (self.recognise)(&path, &file)
+    }
+
+    fn job(&self, dir: &Path, output: &Path, options: &Options) -> Result<Job, ImportError> {
+        Job::of_scenes(self.family, dir, output, options)
+    }
+}
+
+/// The options of a kind, with what it takes for level, hand and clouds by default.
+pub const fn options(
+    level: &'static str,
+    handed: &'static str,
+    cloud: &'static str,
+) -> [(&'static str, &'static str); 14] {
+    [
+        ("scenes", ""),
+        ("frames", ""),
+        ("agents", ""),
+        ("rate", "10"),
+        ("stamp", "start"),
+        ("level", level),
+        ("height", "ground"),
+        ("handed", handed),
+        ("pose-key", ""),
+        ("class", "Car"),
+        ("footprint", OPENCOOD_FOOTPRINT),
+        ("cloud", cloud),
+        ("columns", "4"),
+        ("skip-incomplete", ""),
+    ]
+}
+
 /// A vehicle's outline about its LiDAR, m: the points that readers of the set remove as the vehicle's own.
-pub const OPENCOOD_FOOTPRINT: &str = "-1.95,2.95,-1.1,1.1";
+const OPENCOOD_FOOTPRINT: &str = "-1.95,2.95,-1.1,1.1";
 
 impl Layout for Family {
     fn title(&self) -> &'static str {

@@ -2,34 +2,22 @@
 
 use std::path::Path;
 
-use super::family::{Family, LabelFrame, OPENCOOD_FOOTPRINT, first_labels};
-use super::{Importer, Job, Kind};
-use crate::{ImportError, Options};
+use super::Kind;
+use super::family::{Family, FamilyKind, FrameFile, LabelFrame, options};
 
 /// V2X-Real.
-pub struct V2xReal;
+pub static V2X_REAL: FamilyKind = FamilyKind {
+    kind: &KIND,
+    family: &FAMILY,
+    recognise,
+};
 
 static KIND: Kind = Kind {
     name: "v2x-real",
     title: "V2X-Real",
     needs: "SCENE/AGENT/000030.yaml with 000030.bin or 000030.pcd beside it, also below SPLIT/; roadside AGENTs are negative",
     unit: "frames",
-    options: &[
-        ("scenes", ""),
-        ("frames", ""),
-        ("agents", ""),
-        ("rate", "10"),
-        ("stamp", "start"),
-        ("level", "ground"),
-        ("height", "ground"),
-        ("handed", "right"),
-        ("pose-key", ""),
-        ("class", "Car"),
-        ("footprint", OPENCOOD_FOOTPRINT),
-        ("cloud", "bin"),
-        ("columns", "4"),
-        ("skip-incomplete", ""),
-    ],
+    options: &options("ground", "right", "bin"),
 };
 
 static FAMILY: Family = Family {
@@ -44,30 +32,19 @@ static FAMILY: Family = Family {
     ),
 };
 
-impl Importer for V2xReal {
-    fn kind(&self) -> &'static Kind {
-        &KIND
-    }
-
-    fn recognise(&self, dir: &Path) -> Result<String, String> {
-        let (path, file) = first_labels(dir)?;
-        let name = path.display();
-        let keys = ["true_ego_pose", "infra", "cam1"];
-        match (file.pose_numbers(), keys.into_iter().find(|key| file.has(key))) {
-            (Some(6), Some(key)) => Ok(format!("`{name}` has the key `{key}`, and a pose of 6 numbers")),
-            (Some(6), None) if path.with_extension("bin").is_file() => {
-                Ok(format!("`{name}` has a pose of 6 numbers, and a .bin beside it"))
-            }
-            (Some(6), None) => Err(format!(
-                "`{name}` has none of the keys {}, and no .bin beside it",
-                keys.join(", ")
-            )),
-            (Some(other), _) => Err(format!("the pose in `{name}` has {other} numbers, not 6")),
-            (None, _) => Err(format!("`{name}` has no pose; its keys are {}", file.keys())),
+fn recognise(path: &Path, file: &FrameFile) -> Result<String, String> {
+    let name = path.display();
+    let keys = ["true_ego_pose", "infra", "cam1"];
+    match (file.pose_numbers(), keys.into_iter().find(|key| file.has(key))) {
+        (Some(6), Some(key)) => Ok(format!("`{name}` has the key `{key}`, and a pose of 6 numbers")),
+        (Some(6), None) if path.with_extension("bin").is_file() => {
+            Ok(format!("`{name}` has a pose of 6 numbers, and a .bin beside it"))
         }
-    }
-
-    fn job(&self, dir: &Path, output: &Path, options: &Options) -> Result<Job, ImportError> {
-        Job::of_scenes(&FAMILY, dir, output, options)
+        (Some(6), None) => Err(format!(
+            "`{name}` has none of the keys {}, and no .bin beside it",
+            keys.join(", ")
+        )),
+        (Some(other), _) => Err(format!("the pose in `{name}` has {other} numbers, not 6")),
+        (None, _) => Err(format!("`{name}` has no pose; its keys are {}", file.keys())),
     }
 }

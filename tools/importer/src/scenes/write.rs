@@ -3,9 +3,7 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use nalgebra::Isometry3;
 use realo_logs::{AgentInfo, AgentKind, Levelled, LogInfo, LogWriter};
-use realo_schemas::{AgentState, PoseStatus};
 
 use super::clock::Clock;
 use super::count::points_in_boxes;
@@ -17,6 +15,7 @@ use super::{AgentSummary, Layout, Scene, SceneAgent, SceneSummary};
 use crate::faults::{Faults, FaultsOfSweep};
 use crate::level::Level;
 use crate::options::SweepStamp;
+use crate::places::recorded;
 use crate::{ImportError, Options};
 
 /// A scene that is to become a log.
@@ -177,7 +176,7 @@ impl Writing<'_> {
             SweepStamp::End => sweep.stamp,
         };
         let (name, stamp) = (&agent.name, sweep.stamp);
-        log.pose(name, stamp, stamp, &state(labels[index].map_from_body))?;
+        log.pose(name, stamp, stamp, &recorded(labels[index].map_from_body))?;
         log.cloud(name, stamp, ready, &sweep.cloud)?;
         let own = &truth.boxes[..truth.own];
         if let Some(view) = &sweep.view {
@@ -246,16 +245,6 @@ fn levelled(level: Level, tilts: &[f64]) -> Levelled {
     Levelled {
         by: level.as_str().into(),
         degrees: [min, max],
-    }
-}
-
-fn state(map_from_body: Isometry3<f64>) -> AgentState {
-    AgentState {
-        map_from_body,
-        covariance: None,
-        velocity: None,
-        angular_rate: None,
-        status: PoseStatus::Recorded,
     }
 }
 

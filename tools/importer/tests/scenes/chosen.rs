@@ -4,7 +4,7 @@ use realo_importer::{KINDS, list};
 use realo_logs::Log;
 
 use crate::AGENTS;
-use crate::layouts::{OPV2V, Style, pcd, write};
+use crate::layouts::OPV2V;
 use crate::reading::{import, read};
 
 #[test]
@@ -113,36 +113,4 @@ fn the_list_has_every_kind_with_what_it_needs() {
             "{list}"
         );
     }
-}
-
-/// How long a frame of four agents with 60,000 points each takes; run it alone.
-#[test]
-#[ignore = "measures"]
-fn a_frame_of_four_agents_takes_at_most_60_ms() {
-    let dir = tempfile::tempdir().unwrap();
-    let (data, out) = (dir.path().join("data"), dir.path().join("out.mcap"));
-    let style = Style { frames: 40, ..OPV2V };
-    let agents = ["641", "650", "660", "670"].map(|folder| crate::world::Agent { folder, ..AGENTS[0] });
-    style.write(&data.join("scene"), &agents);
-    for (number, agent) in agents.iter().enumerate() {
-        for frame in 0..style.frames {
-            let points: Vec<[f32; 3]> = style
-                .points(agent, frame, number)
-                .into_iter()
-                .cycle()
-                .take(60_000)
-                .collect();
-            let name = format!("scene/{}/{:06}.pcd", agent.folder, 68 + 2 * frame);
-            write(&data.join(name), &pcd(&points));
-        }
-    }
-    let begin = std::time::Instant::now();
-    let summary = &import("opv2v", &data, &out, &[]).unwrap()[0];
-    let points: usize = summary.agents.iter().map(|agent| agent.points).sum();
-    let seconds = begin.elapsed().as_secs_f64();
-    eprintln!(
-        "{:.1} ms a frame, {:.1} million points a second",
-        seconds * 1e3 / 40.0,
-        points as f64 / seconds / 1e6
-    );
 }

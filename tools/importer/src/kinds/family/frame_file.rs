@@ -8,6 +8,7 @@ use serde_yaml::Value;
 
 use super::poses::world_from_numbers;
 use crate::ImportError;
+use crate::places::MOST_TILT;
 use crate::yaml::{Document, numbers, text, what};
 
 /// Keys of the pose of the LiDAR, the first that is there counts. `predicted_ego_pos` is an estimate, and is not one of them.
@@ -18,8 +19,6 @@ pub const ROADSIDE: [&str; 3] = ["RSU", "rsu", "infra"];
 const CLASSES: [&str; 3] = ["obj_type", "object_type", "class"];
 /// Keys of the objects.
 const OBJECTS: &str = "vehicles";
-/// No LiDAR is mounted at a greater tilt, degrees.
-const MOST_TILT: f64 = 45.0;
 
 /// A label file.
 pub struct FrameFile {

@@ -1,11 +1,9 @@
 //! Poses of the family: six numbers in CARLA's angles, or a matrix.
 
-use nalgebra::{Isometry3, Matrix3, Quaternion, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 
-/// No place is farther from the origin of the world, m: twice around the Earth.
-const WORLD: f64 = 8e7;
-/// How far from the identity the product of a rotation and its transpose may be.
-const ORTHONORMAL: f64 = 0.01;
+use crate::places::{self, WORLD};
+
 /// No angle is larger, degrees.
 const MOST_TURN: f64 = 720.0;
 
@@ -56,25 +54,16 @@ pub fn world_from_numbers(numbers: &[f64]) -> Result<Isometry3<f64>, String> {
 }
 
 fn of_matrix(numbers: &[f64]) -> Result<Isometry3<f64>, String> {
-    let rotation = Matrix3::from_fn(|row, column| numbers[4 * row + column]);
-    let off = (rotation * rotation.transpose() - Matrix3::identity()).abs().max();
-    let last = [0.0, 0.0, 0.0, 1.0];
-    // A NaN is not near either.
-    if !(off <= ORTHONORMAL && rotation.determinant() > 0.0 && numbers[12..] == last) {
-        return Err(format!(
-            "expected a rotation and a translation with 0, 0, 0, 1 as the last row, found {numbers:?} with determinant {:.3}",
-            rotation.determinant()
-        ));
-    }
-    let translation = Translation3::new(numbers[3], numbers[7], numbers[11]);
-    Ok(Isometry3::from_parts(
-        translation,
-        UnitQuaternion::from_matrix(&rotation),
-    ))
+    let pose = places::of_rows(numbers).filter(|_| numbers[12..] == [0.0, 0.0, 0.0, 1.0]);
+    pose.ok_or_else(|| {
+        format!("expected a rotation and a translation with 0, 0, 0, 1 as the last row, found {numbers:?}")
+    })
 }
 
 #[cfg(test)]
 mod tests {
+    use nalgebra::Matrix3;
+
     use super::*;
 
     #[test]

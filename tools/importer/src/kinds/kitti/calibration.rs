@@ -2,14 +2,13 @@
 
 use std::path::{Path, PathBuf};
 
-use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion};
+use nalgebra::{Isometry3, Translation3};
 use realo_schemas::geometry::View;
 
 use crate::ImportError;
 use crate::files::read_text;
+use crate::places::of_rows;
 
-/// How far from the identity the product of a rotation and its transpose may be.
-const ORTHONORMAL: f64 = 0.01;
 /// Size of an image, pixels: those of the set differ by some pixels, and no file says it.
 const IMAGE: [u32; 2] = [1242, 375];
 /// What was labelled in an image may lie beside it at the stamp of the sweep, m.
@@ -131,18 +130,7 @@ fn parsed(words: &str) -> Result<Vec<f64>, String> {
 
 /// A rotation with a translation in its last column, row by row.
 fn isometry(rows: &[f64; 12]) -> Result<Isometry3<f64>, String> {
-    let rotation = Matrix3::from_fn(|row, column| rows[4 * row + column]);
-    let off = (rotation * rotation.transpose() - Matrix3::identity()).abs().max();
-    if !(off <= ORTHONORMAL && rotation.determinant() > 0.0) {
-        return Err(format!(
-            "expected a rotation in the first three columns, found {rows:?}"
-        ));
-    }
-    let translation = Translation3::new(rows[3], rows[7], rows[11]);
-    Ok(Isometry3::from_parts(
-        translation,
-        UnitQuaternion::from_matrix(&rotation),
-    ))
+    of_rows(rows).ok_or_else(|| format!("expected a rotation in the first three columns, found {rows:?}"))
 }
 
 /// Poses of camera 0 in `poses.txt`, a line of 12 numbers each.
