@@ -368,9 +368,11 @@ fn cross_over_a_relay() {
     assert!(said.contains("no case is named so; there are: no loss; "), "{said}");
 }
 
-/// The one row of a bench of faults; `None` where it cannot be had.
-fn row_of(name: &str) -> Option<Value> {
-    let (found, ends_well, said) = judged(&["faults", "--recorded-detections", "--only", name, "--seconds", "20"])?;
+/// The one row of a bench of faults over so many passes of 10 s; `None` where it cannot be had.
+fn row_of(name: &str, passes: u32) -> Option<Value> {
+    let seconds = (10 * passes).to_string();
+    let args = ["faults", "--recorded-detections", "--only", name, "--seconds", &seconds];
+    let (found, ends_well, said) = judged(&args)?;
     let rows = found["rows"].as_array().expect("rows");
     assert_eq!(rows.len(), 1, "{found}");
     let row = &rows[0];
@@ -386,7 +388,8 @@ fn row_of(name: &str) -> Option<Value> {
         );
     }
     let frames = |at: usize| row["frames"][at].as_u64().expect("a count");
-    assert!(frames(1) == 200 && frames(0) >= 190, "{row}");
+    let all = 100 * u64::from(passes);
+    assert!(frames(1) == all && frames(0) >= all - 10, "{row}");
     assert_eq!(row["unaccounted"], 0, "{row}");
     assert!(row["memory_mb"].as_f64() > Some(0.0), "{row}");
     assert!(found["alone"][0].as_f64() > Some(0.5), "{found}");
@@ -404,7 +407,7 @@ fn the_ego_goes_on_while_the_link_is_cut() {
 
 fn cut_the_link() {
     let _share = quarter();
-    let Some(row) = row_of("cut for 5 s") else { return };
+    let Some(row) = row_of("cut for 5 s", 2) else { return };
     assert!(
         count(&row["fates"]["used"]) <= count(&row["sent"]) && count(&row["sent"]) < 190,
         "what is offered while the link is cut is not begun: {row}"
@@ -425,7 +428,7 @@ fn graphs_go_on_when_the_clock_of_the_vehicle_is_set() {
 
 fn set_a_clock(name: &str) {
     let _share = quarter();
-    let Some(row) = row_of(name) else { return };
+    let Some(row) = row_of(name, 2) else { return };
     let off = row["clock_ms"].as_f64().expect("its clock was asked for");
     assert!(off.abs() < 50.0, "{row}");
     assert!(count(&row["fates"]["used"]) > 100, "{row}");
@@ -439,7 +442,8 @@ fn a_peer_that_comes_back_with_another_clock_is_placed_anew() {
 fn come_back_with_another_clock() {
     let _share = quarter();
     let name = "roadside unit killed, back after 2 s with its clock 200 ms ahead";
-    let Some(row) = row_of(name) else { return };
+    // On a slow machine it takes ten seconds until it is back.
+    let Some(row) = row_of(name, 4) else { return };
     let off = row["clock_ms"].as_f64().expect("its clock was asked for");
     assert!((off - 200.0).abs() < 50.0, "{row}");
     assert!(count(&row["fates"]["used"]) > 50, "{row}");

@@ -90,7 +90,10 @@ pub(super) fn inner_inputs(
                 None if optional.contains(output) => continue,
                 None => return Err(format!("input `{port}`: the module declares no input `{output}`")),
             },
-            InputSource::Output { node, .. } if siblings.contains(node) => *node = format!("{}.{node}", outer.id),
+            // Of a module beside it the inner node, too.
+            InputSource::Output { node, .. } if siblings.contains(node.split('.').next().unwrap_or_default()) => {
+                *node = format!("{}.{node}", outer.id)
+            }
             InputSource::Output { .. } => {}
             InputSource::Builtin(source) => {
                 let node = source

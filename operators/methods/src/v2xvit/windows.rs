@@ -122,24 +122,32 @@ dispatch! {
             for (block, factors) in factors.iter().enumerate() {
                 let scores = &scores[block * cells..][..cells];
                 let asking = (cells - block * LANES).min(LANES);
+                let at = |lane: usize, from: usize| {
+                    (first + offsets[block * LANES + lane]) * stored + head * head_width + from
+                };
+                let wide = head_width - head_width % WIDE;
                 for lane in 0..asking {
-                    let mut from = 0;
-                    while from < head_width {
-                        let values = |cell| &of(2, cell)[from..];
-                        let mut write = |made: &[f32]| {
-                            let at = (first + offsets[block * LANES + lane]) * stored + head * head_width + from;
-                            let to = to[at..at + made.len()].iter_mut().zip(made);
-                            to.for_each(|(to, value)| *to = E::from_f32(value * factors[lane]));
-                            made.len()
-                        };
-                        from += match head_width - from {
-                            64.. => write(&mean::<64>(scores, lane, values)),
-                            32.. => write(&mean::<32>(scores, lane, values)),
-                            16.. => write(&mean::<16>(scores, lane, values)),
-                            8.. => write(&mean::<8>(scores, lane, values)),
-                            _ => write(&mean::<1>(scores, lane, values)),
-                        };
+                    for from in (0..wide).step_by(WIDE) {
+                        let made = mean(scores, lane, |cell| &of(2, cell)[from..]);
+                        let to = &mut to[at(lane, from)..][..WIDE];
+                        to.iter_mut().zip(made).for_each(|(to, value)| *to = E::from_f32(value * factors[lane]));
                     }
+                }
+                // Of narrow heads, all who ask at once.
+                let mut from = wide;
+                while from < head_width {
+                    let values = |cell| &of(2, cell)[from..];
+                    let mut write = |made: &[Lanes]| {
+                        for lane in 0..asking {
+                            let to = &mut to[at(lane, from)..][..made.len()];
+                            to.iter_mut().zip(made).for_each(|(to, made)| *to = E::from_f32(made[lane] * factors[lane]));
+                        }
+                        made.len()
+                    };
+                    from += match head_width - from {
+                        NARROW.. => write(&means::<NARROW>(scores, values)),
+                        _ => write(&means::<1>(scores, values)),
+                    };
                 }
             }
         }
@@ -178,15 +186,34 @@ pub fn weights(scores: &mut [Lanes], positions: &[Lanes]) -> Lanes {
     sums.map(|sum| 1.0 / sum)
 }
 
+/// Channels whose weighed values one who asks has at a time, and all who ask.
+const WIDE: usize = 16;
+const NARROW: usize = 4;
+
 /// Values, weighed by the scores of a lane.
 #[inline(always)]
-fn mean<'a, const D: usize>(scores: &[Lanes], lane: usize, value: impl Fn(usize) -> &'a [f32]) -> [f32; D] {
-    let mut sums = [0.0; D];
+fn mean<'a>(scores: &[Lanes], lane: usize, value: impl Fn(usize) -> &'a [f32]) -> [f32; WIDE] {
+    let mut sums = [0.0; WIDE];
     for (cell, scores) in scores.iter().enumerate() {
         let score = scores[lane];
         sums.iter_mut()
-            .zip(&value(cell)[..D])
+            .zip(&value(cell)[..WIDE])
             .for_each(|(sum, value)| *sum += value * score);
+    }
+    sums
+}
+
+/// Values of some channels, weighed by the scores of every lane.
+#[inline(always)]
+fn means<'a, const D: usize>(scores: &[Lanes], value: impl Fn(usize) -> &'a [f32]) -> [Lanes; D] {
+    let mut sums = [[0.0; LANES]; D];
+    for (cell, scores) in scores.iter().enumerate() {
+        let values = &value(cell)[..D];
+        for d in 0..D {
+            for lane in 0..LANES {
+                sums[d][lane] += values[d] * scores[lane];
+            }
+        }
     }
     sums
 }

@@ -1,7 +1,7 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
-use eyre::{Result, ensure};
+use eyre::{Result, ensure, eyre};
 use realo_cli::Progress;
 use realo_methods::Model;
 use realo_training::data::{Augmentation, Frames, SimulatedFrames};
@@ -123,21 +123,20 @@ impl Bench {
     /// A shipped model, as one that fuses no more agents than these.
     fn model(&self, name: &str, agents: usize) -> Result<PathBuf> {
         let shipped = Path::new("models").join(format!("{name}.toml"));
-        let arch = Model::read(&shipped)?.arch;
-        if !arch.fuses() {
+        let (model, files) = Model::read_with_files(&shipped)?;
+        if !model.arch.fuses() {
             return Ok(shipped);
         }
-        let (file, shipped) = (
-            self.folder.join(format!("{name}-{agents}.toml")),
-            shipped.canonicalize()?,
-        );
-        let arch = format!("[arch]\nkind = \"{}\"\nagents = {agents}\n", arch.name());
+        // A model extends one that lies beside it.
+        for (path, bytes) in files {
+            let beside = path.file_name().ok_or_else(|| eyre!("{}: no name", path.display()))?;
+            std::fs::write(self.folder.join(beside), bytes)?;
+        }
+        let file = self.folder.join(format!("{name}-{agents}.toml"));
+        let arch = format!("[arch]\nkind = \"{}\"\nagents = {agents}\n", model.arch.name());
         std::fs::write(
             &file,
-            format!(
-                "extends = {:?}\nname = \"{name}-{agents}\"\n{arch}",
-                shipped.display().to_string()
-            ),
+            format!("extends = \"{name}.toml\"\nname = \"{name}-{agents}\"\n{arch}"),
         )?;
         Ok(file)
     }
