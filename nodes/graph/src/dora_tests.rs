@@ -290,6 +290,27 @@ fn expands_nasty_modules_to_what_is_written_here() {
     assert_eq!(sink.inputs["two"].output(), Some(("cav1.x.inner.core", "deep_out")));
 }
 
+#[test]
+fn a_wire_within_a_module_may_name_a_node_of_a_module_beside_it() {
+    let folder = tempfile::tempdir().unwrap();
+    let outer = "module: { name: outer, inputs: [], outputs: [] }\nnodes:\n  - { id: a, module: inner.yml }\n  \
+                 - { id: b, path: p, inputs: { i: a.second/t } }";
+    let inner = "module: { name: inner, inputs: [], outputs: [] }\nnodes: [{ id: first, path: p, outputs: [t] }, { id: second, path: p, outputs: [t] }]";
+    write(
+        folder.path(),
+        &[
+            ("g.yml", "nodes: [{ id: m, module: modules/outer.yml }]"),
+            ("modules/outer.yml", outer),
+            ("modules/inner.yml", inner),
+        ],
+    );
+    let graph = FlatGraph::load(&folder.path().join("g.yml")).unwrap();
+    assert_eq!(
+        graph.node("m.b").unwrap().inputs["i"].output(),
+        Some(("m.a.second", "t"))
+    );
+}
+
 /// Graphs that both refuse, and what our message says.
 const REFUSED: &[(&str, &str, &str)] = &[
     ("nodes: [{ id: m, module: m/none.yml }]", "", "none.yml"),

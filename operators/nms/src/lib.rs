@@ -4,7 +4,8 @@
 //! it. Before that: invalid boxes (NaN, an extent that is not positive, a score outside [0, 1]) are rejected and counted,
 //! boxes outside the region and below the smallest score are dropped, and only the best `max_boxes` stay candidates. With `vote`,
 //! a kept box is then moved to the mean of itself and the candidates that overlap it: several views of an object, of one
-//! network's anchors or of several agents whose poses are a little off, err less than the best of them.
+//! network's anchors or of several agents whose poses are a little off, err less than the best of them. Boxes on a second input
+//! only fill gaps between the others.
 
 mod grid;
 mod operator;
@@ -43,9 +44,16 @@ pub struct Outcome {
 
 /// Suppresses duplicates among boxes of one frame.
 pub fn nms(boxes: &[Box3], settings: &Settings, region: Option<&Region>) -> Outcome {
+    nms_filled(boxes, &[], settings, region)
+}
+
+/// The same, with boxes that only fill gaps: whatever their scores, they come after all others, and have no vote. Indices go on behind
+/// those of the others.
+pub fn nms_filled(boxes: &[Box3], fill: &[Box3], settings: &Settings, region: Option<&Region>) -> Outcome {
     let mut outcome = Outcome::default();
-    let mut candidates: Vec<u32> = Vec::with_capacity(boxes.len());
-    for (object, index) in boxes.iter().zip(0u32..) {
+    let all = || boxes.iter().chain(fill);
+    let mut candidates: Vec<u32> = Vec::with_capacity(boxes.len() + fill.len());
+    for (object, index) in all().zip(0u32..) {
         if !is_plausible(object) {
             outcome.invalid += 1;
         } else if region.is_some_and(|region| !region.contains_box(object)) {
@@ -56,25 +64,39 @@ pub fn nms(boxes: &[Box3], settings: &Settings, region: Option<&Region>) -> Outc
             candidates.push(index);
         }
     }
-    let scores: Vec<f32> = candidates.iter().map(|i| boxes[*i as usize].score).collect();
-    let footprints: Vec<Footprint> = candidates.iter().map(|i| Footprint::of(&boxes[*i as usize])).collect();
-    let order = candidates_in_order(&scores, settings);
+    let objects: Vec<&Box3> = all().collect();
+    let of = |i: u32| objects[candidates[i as usize] as usize];
+    let scores: Vec<f32> = (0..).take(candidates.len()).map(|i| of(i).score).collect();
+    let footprints: Vec<Footprint> = (0..).take(candidates.len()).map(|i| Footprint::of(of(i))).collect();
+    let first = candidates.partition_point(|index| (*index as usize) < boxes.len());
+    let voters = candidates_in_order(&scores[..first], settings);
+    let filling = candidates_in_order(&scores[first..], settings);
+    let order: Vec<u32> = voters
+        .iter()
+        .copied()
+        .chain(filling.iter().map(|i| i + first as u32))
+        .collect();
     outcome.over_limit = (scores.len() - order.len()) as u64;
-    let kept = if settings.per_class {
-        let class = |i: u32| &*boxes[candidates[i as usize] as usize].class;
-        suppress_per_class(&footprints, &order, class, settings)
+    let mut kept = if settings.per_class {
+        suppress_per_class(&footprints, &order, |i| &*of(i).class, settings)
     } else {
         suppress(&footprints, &order, settings.threshold, settings.index)
     };
     outcome.suppressed = (order.len() - kept.len()) as u64;
-    let object = |i: u32| (&boxes[candidates[i as usize] as usize], &footprints[i as usize]);
+    if !filling.is_empty() {
+        kept.sort_by(|a, b| scores[*b as usize].total_cmp(&scores[*a as usize]));
+    }
+    let object = |i: u32| (of(i), &footprints[i as usize]);
     outcome.boxes = match settings.vote < 1.0 {
         true => {
-            let neighbours = Neighbours::new(&footprints, &order);
-            let voted = |i: &u32| vote(object(*i), neighbours.of(*i).into_iter().map(object), settings.vote);
+            let neighbours = Neighbours::new(&footprints, &voters);
+            let voted = |i: &u32| match (*i as usize) < first {
+                true => vote(object(*i), neighbours.of(*i).into_iter().map(object), settings.vote),
+                false => of(*i).clone(),
+            };
             kept.iter().map(voted).collect()
         }
-        false => kept.iter().map(|i| object(*i).0.clone()).collect(),
+        false => kept.iter().map(|i| of(*i).clone()).collect(),
     };
     outcome.kept = kept.into_iter().map(|i| candidates[i as usize]).collect();
     outcome

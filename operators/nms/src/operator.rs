@@ -3,7 +3,7 @@ use realo_schemas::geometry::{Region, box_fault};
 use realo_schemas::{Boxes, Header};
 use serde::{Deserialize, Serialize};
 
-use crate::{Index, Ties, nms};
+use crate::{Index, Ties, nms_filled};
 
 /// Settings of [`Nms`].
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
@@ -55,6 +55,8 @@ pub enum NmsError {
 pub struct Nms {
     settings: Settings,
     region: Option<Region>,
+    /// What came to fill gaps of the next frame.
+    fill: Option<(Header, Boxes)>,
 }
 
 const INVALID_BOXES: Counter = Counter::loss(
@@ -76,8 +78,11 @@ const SUPPRESSED_BOXES: Counter = Counter::plain("suppressed_boxes", "boxes drop
 /// What comes in.
 #[derive(Debug, Inputs)]
 pub enum Input {
+    /// Boxes that only fill gaps: one that overlaps a box of `proposals` is dropped, whatever its score, and has no vote.
+    #[port(latest, joined("frame"), optional)]
+    Fill(Header, Boxes),
     /// Detections in any order, one frame.
-    #[port(latest)]
+    #[port(latest, joined("frame"))]
     Proposals(Header, Boxes),
 }
 
@@ -95,16 +100,31 @@ impl Operator for Nms {
             return Err(NmsError::Vote { min, found }.into());
         }
         let region = Region::from_list(&settings.region).map_err(NmsError::Region)?;
-        Ok(Nms { settings, region })
+        Ok(Nms {
+            settings,
+            region,
+            fill: None,
+        })
     }
 
     fn on_input(&mut self, input: Input, out: &mut Outputs<Output>) -> Result<(), Error> {
-        let Input::Proposals(header, Boxes(boxes)) = input;
-        let outcome = nms(&boxes, &self.settings, self.region.as_ref());
-        let (agent, all) = (header.agent.clone(), boxes.len() as u64);
+        let (header, Boxes(boxes)) = match input {
+            Input::Fill(header, boxes) => {
+                self.fill = Some((header, boxes));
+                return Ok(());
+            }
+            Input::Proposals(header, boxes) => (header, boxes),
+        };
+        let fill = self
+            .fill
+            .take()
+            .filter(|(of, _)| (&of.agent, of.seq) == (&header.agent, header.seq));
+        let Boxes(fill) = fill.map(|(_, boxes)| boxes).unwrap_or_default();
+        let outcome = nms_filled(&boxes, &fill, &self.settings, self.region.as_ref());
+        let (agent, all) = (header.agent.clone(), (boxes.len() + fill.len()) as u64);
         out.count_of(&INVALID_BOXES, &agent, outcome.invalid, all);
         if outcome.invalid > 0 {
-            let first = boxes.iter().find_map(box_fault);
+            let first = boxes.iter().chain(&fill).find_map(box_fault);
             out.found(&INVALID_BOXES, &agent, || {
                 format!("the first has {}", first.unwrap_or_default())
             });
@@ -150,7 +170,7 @@ mod tests {
             .on_message(Input::PROPOSALS, Message::new(header(), Boxes(boxes)), &mut out)
             .unwrap();
         let (port, message) = out.take_sent().remove(0);
-        assert_eq!(port, Input::PROPOSALS);
+        assert_eq!(port, Output::BOXES);
         let (sent, Boxes(kept)) = message.into_parts().unwrap();
         assert_eq!(sent, header());
         (kept, out)
@@ -291,6 +311,36 @@ mod tests {
             boxes,
         );
         assert_eq!(kept, [car(0.0, 0.0, 0.9), walker]);
+    }
+
+    #[test]
+    fn what_fills_comes_where_no_other_box_is_and_has_no_vote() {
+        let mut operator = Nms::new(Settings {
+            vote: 0.3,
+            ..Settings::default()
+        })
+        .unwrap();
+        let proposals = [car(0.0, 0.0, 0.3), car(60.0, 0.0, 0.2)];
+        let fill = [car(0.5, 0.0, 0.9), car(30.0, 0.0, 0.8), car(30.2, 0.0, 0.7)];
+        let mut run = |fill: Option<(u64, &[Box3])>| {
+            let mut out = Outputs::at(1000);
+            if let Some((seq, fill)) = fill {
+                let header = Header { seq, ..header() };
+                let message = Message::new(header, Boxes(fill.to_vec()));
+                operator.on_message(Input::FILL, message, &mut out).unwrap();
+            }
+            let message = Message::new(header(), Boxes(proposals.to_vec()));
+            operator.on_message(Input::PROPOSALS, message, &mut out).unwrap();
+            let Boxes(kept) = out.take_sent().remove(0).1.into_parts().unwrap().1;
+            kept
+        };
+        assert_eq!(
+            run(Some((7, &fill))),
+            [fill[1].clone(), proposals[0].clone(), proposals[1].clone()]
+        );
+        assert_eq!(run(None), proposals);
+        // Of another frame.
+        assert_eq!(run(Some((6, &fill))), proposals);
     }
 
     #[test]
