@@ -232,9 +232,9 @@ fn a_guard_wins_back_what_wrong_poses_cost_and_costs_nothing_where_they_are_righ
 }
 
 #[test]
-fn a_guard_of_points_and_of_maps_keeps_wrong_poses_from_harm() {
+fn guards_of_points_of_maps_and_of_both_with_boxes_keep_wrong_poses_from_harm() {
     let noise = ["--set", "others.sense.localization.position_noise_m=3"];
-    let run = |out: &str, graph: &str, more: &[&str]| {
+    let run_with = |out: &str, graph: &str, guard: &str, more: &[&str]| {
         let result = run_virtual(
             out,
             graph,
@@ -242,12 +242,19 @@ fn a_guard_of_points_and_of_maps_keeps_wrong_poses_from_harm() {
             &[&["--offline", "--ego", "cav1"], more].concat(),
         );
         let map = result["accuracy"]["sorted"]["mAP"]["0.3"].as_f64().expect("an mAP");
-        let counters = result["nodes"]["fusion.guard"]["counters"].clone();
+        let counters = result["nodes"][guard]["counters"].clone();
         assert_eq!(counters["unchecked_messages"], Value::Null, "{counters}");
         (map, counters)
     };
+    let run = |out: &str, graph: &str, more: &[&str]| run_with(out, graph, "fusion.guard", more);
     let (alone, _) = run("guard_sees_alone", "no_fusion", &[]);
-    for graph in ["early_fusion", "attfuse"] {
+    for (graph, guard) in [
+        ("early_fusion", "fusion.guard"),
+        ("attfuse", "fusion.guard"),
+        ("hybrid_fusion", "fusion.points.guard"),
+        ("hybrid_features", "fusion.rest.guard"),
+    ] {
+        let run = |out: &str, graph: &str, more: &[&str]| run_with(out, graph, guard, more);
         let guarded = format!("{graph}_guarded");
         let (exact, _) = run(&format!("guard_{graph}"), graph, &[]);
         let (kept, _) = run(&format!("guard_{guarded}"), &guarded, &[]);
