@@ -164,7 +164,7 @@ mod tests {
     #[test]
     fn quantiles_rise_from_the_least_to_the_largest() {
         let mut ages = Ages::default();
-        [-20_000_000, 0, 30_000_000, 100_000_000].map(|age| ages.record(age));
+        [-20_000_000, 0, 30_000_000, 100_000_000].iter().for_each(|age| ages.record(*age));
         let quantiles = age_quantiles(&ages);
         assert_eq!(quantiles.len(), 101);
         assert!(quantiles.is_sorted() && (quantiles[0] + 20.0).abs() < 0.1 && (quantiles[100] - 100.0).abs() < 0.2);

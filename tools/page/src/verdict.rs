@@ -186,9 +186,9 @@ fn traffic(runs: &[(&str, &Run)]) -> String {
     let all_offline = runs.iter().all(|(_, run)| run.result.settings.mode == "offline");
     let age = match (spread.p50, spread.p95) {
         (Some(half), Some(most)) if all_offline => {
-            format!("; stamps of fused data are {half:.0} ms apart in the median, {most:.0} ms at p95")
+            format!("; stamps of fused data are {} apart in the median, {} at p95", ms(half), ms(most))
         }
-        (Some(half), Some(most)) => format!("; fused data are {half:.0} ms old in the median, {most:.0} ms at p95"),
+        (Some(half), Some(most)) => format!("; fused data are {} old in the median, {} at p95", ms(half), ms(most)),
         _ => String::new(),
     };
     format!(
@@ -196,6 +196,13 @@ fn traffic(runs: &[(&str, &Run)]) -> String {
         fates.used,
         100.0 * fates.used as f64 / sent as f64
     )
+}
+
+fn ms(value: f64) -> String {
+    match value.abs() < 9.95 {
+        true => format!("{value:.1} ms"),
+        false => format!("{value:.0} ms"),
+    }
 }
 
 #[cfg(test)]

@@ -84,7 +84,8 @@ const seriesOf = (run, points, more = {}) => ({ name: DOC.runs[run].name, color:
 /** What the charts are about. */
 const asked = { klass: "", iou: DOC.iou };
 
-const classesOf = () => [...new Set(DOC.runs.flatMap((run) => Object.keys(run.curves)))];
+/** Classes with objects, in the order of the player's. */
+const classesOf = () => [...new Set(DOC.runs.flatMap((run) => Object.keys(run.curves)))].sort((a, b) => DOC.classes.indexOf(a) - DOC.classes.indexOf(b));
 const iousOf = () => [...new Set(DOC.runs.flatMap((run) => Object.keys((run.result.accuracy || { sorted: { mAP: {} } }).sorted.mAP)))];
 
 /** Bins of a table by class and IoU, of one class or the sum of all. */
@@ -167,7 +168,8 @@ function ageChart(of) {
     return seriesOf(at, points.map(([bin, [found, total]]) => [bin, found / total, `${found} of ${total}`]), { dots: true });
   });
   return figure("Recall by age", `${of}; objects that the ego hardly sees, by the oldest data fused, in this scene`,
-    lines(series, { label: "age, ms" }, { label: "", low: 0, high: 1 }), "Nothing was fused, or there are too few objects.");
+    DOC.runs.every((run) => run.result.mode === "offline") ? null : lines(series, { label: "age, ms" }, { label: "", low: 0, high: 1 }),
+    "Nothing is late: these runs are offline, or fuse nothing, or have too few objects.");
 }
 
 /** True, false and missed of each run, as the table counts them. */
@@ -203,8 +205,11 @@ function drawMaps() {
     ...sweep.objects.filter((one) => one.counts && ofClass(one)).map((one) => [...inMap(sweep.pose, one.box[0], one.box[1], 0), one.fate]),
     ...sweep.boxes.filter((one) => one.fate === "false" && ofClass(one)).map((one) => [...inMap(sweep.pose, one.box[0], one.box[1], 0), "false"]),
   ]));
+  if (!places.flat().length) return;
+  const { turn } = extent();
+  const [sin, cos] = [Math.sin(turn), Math.cos(turn)];
+  for (const place of places.flat()) [place[0], place[1]] = [cos * place[0] - sin * place[1], sin * place[0] + cos * place[1]];
   const xs = places.flat().map(([x]) => x), ys = places.flat().map(([, y]) => y);
-  if (!xs.length) return;
   const [left, right, low, high] = [quantile(xs, 0.01) - 5, quantile(xs, 0.99) + 5, quantile(ys, 0.01) - 5, quantile(ys, 0.99) + 5];
   maps.forEach(({ canvas }, at) => {
     const { width, height } = canvas.getBoundingClientRect();

@@ -130,43 +130,52 @@ function underPixel(pane, px, py) {
   return [camera.x + cos * dx + sin * dy, camera.y - sin * dx + cos * dy];
 }
 
-/** What the scene takes up on the ground, m: left, right, low, high; and how far the ego goes. */
+/** How the scene lies: the turn that brings its long side across the screen, what it takes up then, m, and how far the ego goes. */
+const extents = new Map();
 function extent() {
   const of = scene();
-  const xs = [], ys = [];
+  if (!extents.has(of)) extents.set(of, measured(of));
+  return extents.get(of);
+}
+
+function measured(of) {
+  const places = [];
   const seqs = timeline();
   const step = Math.max(1, Math.floor(seqs.length / 40));
   for (let at = 0; at < seqs.length; at += step) {
     const frame = of.frames[seqs[at]];
-    for (const pose of frame.poses || []) if (pose) { xs.push(pose[0] / 100); ys.push(pose[1] / 100); }
+    for (const pose of frame.poses || []) if (pose) places.push([pose[0] / 100, pose[1] / 100]);
     const ego = (frame.poses || [])[0];
-    if (!ego) continue;
-    for (const [row] of frame.objects || []) {
-      if (!row[9]) continue;
-      const [x, y] = inMap(ego, row[1], row[2], 0);
-      xs.push(x); ys.push(y);
-    }
+    for (const [row] of (ego && frame.objects) || []) if (row[9]) places.push(inMap(ego, row[1], row[2], 0));
   }
+  const mean = (pick) => sum(places.map(pick)) / Math.max(1, places.length);
+  const [mx, my] = [mean(([x]) => x), mean(([, y]) => y)];
+  const [xx, yy, xy] = [mean(([x]) => (x - mx) ** 2), mean(([, y]) => (y - my) ** 2), mean(([x, y]) => (x - mx) * (y - my))];
+  const apart = Math.hypot(xx - yy, 2 * xy);
+  // A scene without a long side stays as the map has it.
+  const turn = apart > 0.5 * (xx + yy) ? -Math.atan2(2 * xy, xx - yy) / 2 : 0;
+  const [sin, cos] = [Math.sin(turn), Math.cos(turn)];
+  const across = places.map(([x, y]) => cos * x - sin * y), up = places.map(([x, y]) => sin * x + cos * y);
+  const ends = (values) => [quantile(values, 0.015) ?? -50, quantile(values, 0.985) ?? 50];
+  const [[left, right], [low, high]] = [ends(across), ends(up)];
+  const [u, v] = [(left + right) / 2, (low + high) / 2];
   const egos = seqs.map((seq) => (of.frames[seq].poses || [])[0]).filter(Boolean);
-  return {
-    left: quantile(xs, 0.02) ?? -50, right: quantile(xs, 0.98) ?? 50, low: quantile(ys, 0.02) ?? -50, high: quantile(ys, 0.98) ?? 50,
-    way: egos.length ? Math.hypot(egos[0][0] - egos.at(-1)[0], egos[0][1] - egos.at(-1)[1]) / 100 : 0,
-  };
+  const way = egos.length ? Math.hypot(egos[0][0] - egos.at(-1)[0], egos[0][1] - egos.at(-1)[1]) / 100 : 0;
+  return { turn, width: right - left, height: high - low, center: [cos * u + sin * v, -sin * u + cos * v], way };
 }
 
 /** Looks at all that happens in the scene; where the ego goes far, at what is around it. */
 function fitView() {
-  const { left, right, low, high, way } = extent();
+  const { turn, width, height, center, way } = extent();
   const pane = panes[0] || { width: 600, height: 480 };
   if (way > 250) {
     state.follow = true;
     camera.scale = Math.min(pane.width, pane.height) / 120;
     return;
   }
-  camera.x = (left + right) / 2;
-  camera.y = (low + high) / 2;
-  camera.turn = 0;
-  camera.scale = Math.max(0.5, Math.min(20, Math.min(pane.width / (right - left + 16), pane.height / (high - low + 24))));
+  [camera.x, camera.y] = center;
+  camera.turn = turn;
+  camera.scale = Math.max(0.5, Math.min(20, Math.min(pane.width / (width + 16), pane.height / (height + 24))));
   if (state.view === "3d") camera.scale *= 1.3;
 }
 
@@ -356,6 +365,7 @@ function drawAgents(context, project, of, sweep, shared) {
     heard.get(agent).push(`${KINDS[kind]} ${ms(age / 10)}`);
   }
   const ego = poses[0] && project(...inMap(poses[0], 0, 0, 0));
+  const labels = [];
   of.agents.forEach((agent, number) => {
     const pose = poses[number];
     if (!pose) return;
@@ -382,8 +392,17 @@ function drawAgents(context, project, of, sweep, shared) {
       context.fill();
     }
     const words = number === 0 ? `${agent.name} (ego)` : [agent.name, ...(heard.get(number) || [])].join(" · ");
-    label(context, words, here[0], number === 0 ? here[1] + 24 : here[1] - 12, color);
+    labels.push([words, here, color]);
   });
+  // Names are moved up and down until none covers another.
+  const taken = [];
+  for (const [words, [x, y], color] of labels) {
+    const half = words.length * 3.6;
+    const free = (at) => !taken.some(([left, right, other]) => x - half < right && x + half > left && Math.abs(at - other) < 15);
+    const at = [y - 12, y + 23, y - 28, y + 39, y - 44].find(free) ?? y - 12;
+    taken.push([x - half, x + half, at]);
+    label(context, words, x, at, color);
+  }
 }
 
 function drawPane(pane) {
@@ -560,8 +579,8 @@ function makePanes() {
   holder.replaceChildren();
   const shown = state.runs.slice(0, MOST_PANES);
   // Of a wide scene two runs are one above the other.
-  const { left, right, low, high, way } = extent();
-  const wide = shown.length === 2 && way <= 250 && right - left > 1.7 * (high - low);
+  const { width, height, way } = extent();
+  const wide = shown.length === 2 && way <= 250 && width > 1.7 * height;
   holder.style.setProperty("--columns", shown.length <= 1 || wide ? 1 : 2);
   holder.style.setProperty("--height", wide ? "264px" : shown.length <= 2 ? "480px" : "300px");
   for (const run of shown) {
@@ -657,7 +676,7 @@ function setFollow(follow) {
 function setView(view) {
   if (view !== state.view) camera.scale *= view === "3d" ? 1.3 : 1 / 1.3;
   state.view = view;
-  if (view === "top" && !state.follow) camera.turn = 0;
+  if (view === "top" && !state.follow) camera.turn = extent().turn;
   makeFilters();
   draw();
   keepPlace();
@@ -671,7 +690,7 @@ function makeFilters() {
   const again = (change) => (value) => { change(value); draw(); keepPlace(); };
   const views = segments([["top", "From above"], ["3d", "3D"]], state.view, setView);
   transport.views = views;
-  transport.follow = el("button", { type: "button", "aria-pressed": String(state.follow), title: "The ego stays in the middle", onclick: () => { setFollow(!state.follow); if (!state.follow) camera.turn = 0; draw(); keepPlace(); } }, "Follow ego");
+  transport.follow = el("button", { type: "button", "aria-pressed": String(state.follow), title: "The ego stays in the middle", onclick: () => { setFollow(!state.follow); if (!state.follow) camera.turn = extent().turn; draw(); keepPlace(); } }, "Follow ego");
   byId("filters").replaceChildren(
     ...(scenes.length > 1 ? [choice("Scene", scenes, state.scene, (at) => openScene(at))] : []),
     views, transport.follow,
@@ -931,11 +950,13 @@ function startPlayer() {
   repainted.push(draw, makeLegend);
 }
 
-/** The sweep in which cooperation added most. */
+/** The scored sweep, without any of them the sweep, in which cooperation added most. */
 function best() {
   const of = scene();
   let [most, at] = [-1, 0];
+  const anyScored = timeline().some((seq) => of.frames[seq].key);
   timeline().forEach((seq, number) => {
+    if (anyScored && !of.frames[seq].key) return;
     const added = sum(of.runs.map((_, run) => judged(of, run, seq)).filter(Boolean).map((sweep) => sweep.counts.added));
     if (added > most) [most, at] = [added, number];
   });
