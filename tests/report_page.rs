@@ -1,8 +1,8 @@
 //! `realo report`: the page opens in a browser without an error, shows what the results say, and bad input gets a clear error.
 
-mod common;
 #[path = "common/browser.rs"]
 mod browser;
+mod common;
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -16,7 +16,16 @@ const LOG: &str = "report_small";
 const NAME: &str = "<img src=x onerror=alert(1)>\"'&";
 
 fn log() -> PathBuf {
-    let args = ["--seed", "911", "--seconds", "3", "--key-hz", "5", "--agents", "cav1,rsu1"];
+    let args = [
+        "--seed",
+        "911",
+        "--seconds",
+        "3",
+        "--key-hz",
+        "5",
+        "--agents",
+        "cav1,rsu1",
+    ];
     simulated(LOG, &args)
 }
 
@@ -46,7 +55,10 @@ fn report(runs: &[&Path], output: &Path, args: &[&str]) -> (Option<i32>, String)
 
 fn document(page: &Path) -> Value {
     let text = fs::read_to_string(page).expect("the page is there");
-    let data = text.split_once("<script type=\"application/json\" id=\"data\">").expect("the data").1;
+    let data = text
+        .split_once("<script type=\"application/json\" id=\"data\">")
+        .expect("the data")
+        .1;
     let data = data.split_once("</script>").expect("their end").0;
     serde_json::from_str(data).expect("the data are JSON")
 }
@@ -91,7 +103,11 @@ fn the_player_has_the_boxes_that_the_results_count() {
             let counts = result["accuracy"]["sorted"]["counts"].as_object().unwrap();
             let iou = iou.as_str().unwrap();
             let total = |what: &str| counts.values().map(|of| of[iou][what].as_i64().unwrap()).sum::<i64>();
-            assert_eq!([hits, wrong, objects], ["true", "false", "total"].map(total), "run {number}, IoU {iou}");
+            assert_eq!(
+                [hits, wrong, objects],
+                ["true", "false", "total"].map(total),
+                "run {number}, IoU {iou}"
+            );
         }
         let used: u64 = result["links"]
             .as_object()
@@ -99,7 +115,9 @@ fn the_player_has_the_boxes_that_the_results_count() {
             .unwrap_or(0);
         let fates = &document["words"]["fates"];
         let messages = scene["runs"][number]["messages"].as_array().unwrap();
-        let of_page = messages.iter().filter(|row| fates[row[3].as_u64().unwrap() as usize] == "used");
+        let of_page = messages
+            .iter()
+            .filter(|row| fates[row[3].as_u64().unwrap() as usize] == "used");
         assert_eq!(of_page.count() as u64, used, "run {number}");
     }
 }
@@ -117,17 +135,32 @@ fn a_browser_opens_plays_filters_and_turns_the_page_without_an_error() {
     let log = log();
     let (code, said) = report(&[&named, &alone], &page, &["--points", "--log", &log.to_string_lossy()]);
     assert_eq!(code, Some(0), "{said}");
-    for (size, dark) in [([1280, 900], false), ([1280, 900], true), ([390, 844], false), ([390, 844], true)] {
+    for (size, dark) in [
+        ([1280, 900], false),
+        ([1280, 900], true),
+        ([390, 844], false),
+        ([390, 844], true),
+    ] {
         browser.open(&page, "", size, dark);
-        assert_eq!(browser.value("document.documentElement.dataset.theme"), if dark { "dark" } else { "light" });
+        assert_eq!(
+            browser.value("document.documentElement.dataset.theme"),
+            if dark { "dark" } else { "light" }
+        );
         let wide = "document.documentElement.scrollWidth <= innerWidth";
         assert_eq!(browser.value(wide), true, "the page scrolls sideways at {size:?}");
         assert_eq!(browser.value("document.querySelectorAll('#panes canvas').length"), 2);
         assert!(browser.picture().len() > 10_000);
     }
     browser.open(&page, "", [1280, 900], false);
-    assert_eq!(browser.value("document.querySelector('.score .name').textContent"), NAME);
-    assert_eq!(browser.value("document.querySelectorAll('img').length"), 0, "a name stays text");
+    assert_eq!(
+        browser.value("document.querySelector('.score .name').textContent"),
+        NAME
+    );
+    assert_eq!(
+        browser.value("document.querySelectorAll('img').length"),
+        0,
+        "a name stays text"
+    );
 
     // Keys: steps, then playing to the end.
     browser.value("seek(0)");
@@ -159,13 +192,22 @@ fn a_browser_opens_plays_filters_and_turns_the_page_without_an_error() {
     }
     let story = browser.value("byId('story').textContent");
     let story = story.as_str().unwrap_or_default();
-    assert!(story.contains("class") && story.contains("score") && story.contains("points of rsu1"), "{story}");
+    assert!(
+        story.contains("class") && story.contains("score") && story.contains("points of rsu1"),
+        "{story}"
+    );
 
     // Filters leave only what they name.
     browser.value("state.klass = 'pedestrian'; draw()");
-    assert_eq!(browser.value("panes[0].shown.every(({ one }) => one.klass === 'pedestrian')"), true);
+    assert_eq!(
+        browser.value("panes[0].shown.every(({ one }) => one.klass === 'pedestrian')"),
+        true
+    );
     browser.value("state.klass = ''; state.hidden = new Set(['hit', 'added', 'missed', 'other']); draw()");
-    assert_eq!(browser.value("panes.every((pane) => pane.shown.every(({ one }) => one.fate === 'false'))"), true);
+    assert_eq!(
+        browser.value("panes.every((pane) => pane.shown.every(({ one }) => one.fate === 'false'))"),
+        true
+    );
     browser.value("state.hidden = new Set(); draw()");
 
     // In space, with points; the address keeps the place.
@@ -180,7 +222,11 @@ fn a_browser_opens_plays_filters_and_turns_the_page_without_an_error() {
     assert_eq!(browser.value(place), before);
     let elsewhere = "#scene=9&sweep=-4&runs=7.x&class=%3Cb%3E&pick=box.1.2&at=1,2,NaN";
     browser.open(&page, elsewhere, [1280, 900], false);
-    assert_eq!(browser.value("panes.length"), 2, "an address of another page is taken as far as it fits");
+    assert_eq!(
+        browser.value("panes.length"),
+        2,
+        "an address of another page is taken as far as it fits"
+    );
     assert_eq!(browser.said, [""; 0], "the console of the page");
 }
 
@@ -194,7 +240,13 @@ fn points_are_those_of_the_log() {
     let clouds = document["points"].as_array().unwrap();
     assert_eq!(clouds.len(), 60, "two agents, 3 s");
     let text = fs::read_to_string(&page).unwrap();
-    let points = text.split_once("id=\"points\">").unwrap().1.split_once("</script>").unwrap().0;
+    let points = text
+        .split_once("id=\"points\">")
+        .unwrap()
+        .1
+        .split_once("</script>")
+        .unwrap()
+        .0;
     let last = clouds.last().unwrap()["text"].as_array().unwrap();
     let end = last[0].as_u64().unwrap() + last[1].as_u64().unwrap();
     assert_eq!(points.len() as u64, end);
@@ -213,16 +265,33 @@ fn wrong_input_gets_a_clear_error() {
         assert!(!output.exists() || output.ends_with("mine.html"), "nothing is written");
     };
     said(&[&home.join("gone")], &page, &[], &["gone", "no such folder"]);
-    said(&[&late], &home.join("report.pdf"), &[], &["report.pdf", ".html", "found .pdf"]);
-    said(&[&late], &page, &["--log", "gone.mcap"], &["gone.mcap", "no such file", "--log"]);
+    said(
+        &[&late],
+        &home.join("report.pdf"),
+        &[],
+        &["report.pdf", ".html", "found .pdf"],
+    );
+    said(
+        &[&late],
+        &page,
+        &["--log", "gone.mcap"],
+        &["gone.mcap", "no such file", "--log"],
+    );
     fs::write(home.join("mine.html"), "<html>my notes</html>").unwrap();
-    said(&[&late], &home.join("mine.html"), &[], &["refuse to overwrite", "mine.html", "--force"]);
+    said(
+        &[&late],
+        &home.join("mine.html"),
+        &[],
+        &["refuse to overwrite", "mine.html", "--force"],
+    );
 
     // A run of another version, and one whose recording is damaged.
     let other = home.join("other");
     copied(&late, &other);
     let file = other.join("result.json");
-    let changed = fs::read_to_string(&file).unwrap().replace("\"version\": 2", "\"version\": 99");
+    let changed = fs::read_to_string(&file)
+        .unwrap()
+        .replace("\"version\": 2", "\"version\": 99");
     fs::write(&file, changed).unwrap();
     said(&[&other], &page, &[], &["result.json", "version 99"]);
     let damaged = home.join("damaged");
@@ -246,7 +315,10 @@ fn what_a_run_lacks_is_said_on_the_page() {
     fs::remove_file(&recording).unwrap();
     let (code, said) = report(&[&bare], &page, &["--log", &log]);
     assert_eq!(code, Some(0), "{said}");
-    assert!(said.contains("recording.mcap is not there") && said.contains("node `recorder`"), "{said}");
+    assert!(
+        said.contains("recording.mcap is not there") && said.contains("node `recorder`"),
+        "{said}"
+    );
     assert_eq!(document(&page)["scenes"].as_array().map(Vec::len), Some(0));
     assert_eq!(document(&page)["left_out"].as_array().map(Vec::len), Some(1));
     // Cut: what is before the cut is shown.

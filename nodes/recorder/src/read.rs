@@ -293,8 +293,7 @@ impl StatesOf {
             return Ok(None);
         };
         let bad = bad_content(&topic, &raw);
-        let (stamp, state) =
-            pose::decode(raw.data(), PoseStatus::Recorded).map_err(|error| bad(error.to_string()))?;
+        let (stamp, state) = pose::decode(raw.data(), PoseStatus::Recorded).map_err(|error| bad(error.to_string()))?;
         Ok(Some((agent_of(&topic), stamp, state)))
     }
 }

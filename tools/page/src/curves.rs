@@ -39,7 +39,9 @@ fn hits(evaluation: &Evaluation, class: u8, iou: f64) -> (Vec<(f32, bool)>, u64)
         }
         let counted = |index: usize| frame.in_no_view.truths.binary_search(&index).is_err();
         let objects = frame.truths.iter().enumerate();
-        total += objects.filter(|(index, truth)| truth.class == class && counted(*index)).count() as u64;
+        total += objects
+            .filter(|(index, truth)| truth.class == class && counted(*index))
+            .count() as u64;
         for (detection, outcome) in match_frame(frame, protocol, class, iou, Scope::All) {
             if outcome != Outcome::Ignored {
                 hits.push((frame.detections[detection].score, matches!(outcome, Outcome::True(_))));
@@ -69,7 +71,9 @@ fn thinned(points: Vec<[f64; 3]>) -> Vec<[f64; 3]> {
     if points.len() <= MOST_POINTS {
         return points;
     }
-    (0..MOST_POINTS).map(|step| points[step * last / (MOST_POINTS - 1)]).collect()
+    (0..MOST_POINTS)
+        .map(|step| points[step * last / (MOST_POINTS - 1)])
+        .collect()
 }
 
 fn rounded(share: f64) -> f64 {
@@ -158,13 +162,18 @@ mod tests {
         assert_eq!(curve.len(), MOST_POINTS);
         assert_eq!(curve[0], [0.0, 0.0, 1.0]);
         assert_eq!(curve[MOST_POINTS - 1][0], 0.8333, "3,333 of 4,000 were found");
-        assert!(precision_recall(&evaluation()).len() == 1, "classes without objects have no curve");
+        assert!(
+            precision_recall(&evaluation()).len() == 1,
+            "classes without objects have no curve"
+        );
     }
 
     #[test]
     fn quantiles_rise_from_the_least_to_the_largest() {
         let mut ages = Ages::default();
-        [-20_000_000, 0, 30_000_000, 100_000_000].iter().for_each(|age| ages.record(*age));
+        [-20_000_000, 0, 30_000_000, 100_000_000]
+            .iter()
+            .for_each(|age| ages.record(*age));
         let quantiles = age_quantiles(&ages);
         assert_eq!(quantiles.len(), 101);
         assert!(quantiles.is_sorted() && (quantiles[0] + 20.0).abs() < 0.1 && (quantiles[100] - 100.0).abs() < 0.2);

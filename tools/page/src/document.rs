@@ -67,7 +67,11 @@ impl RunPart {
             all.insert(stage.clone(), quantiles(&of_stage.latency));
         }
         let mut ages = Ages::default();
-        let kinds = run.samples.ages_ns.iter().filter(|(kind, _)| **kind != Kind::AgentState);
+        let kinds = run
+            .samples
+            .ages_ns
+            .iter()
+            .filter(|(kind, _)| **kind != Kind::AgentState);
         kinds.for_each(|(_, of_kind)| ages.merge(of_kind));
         let fields = fields(&[run]).into_iter();
         RunPart {
@@ -83,7 +87,12 @@ impl RunPart {
             }),
             quantiles: all.into_iter().filter(|(_, values)| !values.is_empty()).collect(),
             ages: age_quantiles(&ages),
-            curves: run.samples.evaluation.as_ref().map(precision_recall).unwrap_or_default(),
+            curves: run
+                .samples
+                .evaluation
+                .as_ref()
+                .map(precision_recall)
+                .unwrap_or_default(),
             graph: run.samples.graph.clone(),
         }
     }

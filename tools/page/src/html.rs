@@ -61,7 +61,10 @@ mod tests {
         let page = html(name, &json, "");
         assert_eq!(page.matches("alert(").count(), 2, "in the title and in the data");
         assert!(!page.contains("<script>alert"));
-        let data = page.split_once("<script type=\"application/json\" id=\"data\">").unwrap().1;
+        let data = page
+            .split_once("<script type=\"application/json\" id=\"data\">")
+            .unwrap()
+            .1;
         let data = data.split_once("</script>").unwrap().0;
         let read: serde_json::Value = serde_json::from_str(data).unwrap();
         assert_eq!(read["name"], name);
@@ -71,9 +74,20 @@ mod tests {
     fn the_page_asks_no_network() {
         let page = html("a", "{}", "");
         assert!(page.contains("default-src 'none'"));
-        for outside in ["src=\"http", "href=\"http", "@import", "url(http", "fetch(", "XMLHttpRequest"] {
+        for outside in [
+            "src=\"http",
+            "href=\"http",
+            "@import",
+            "url(http",
+            "fetch(",
+            "XMLHttpRequest",
+        ] {
             assert!(!page.contains(outside), "{outside}");
         }
-        assert!(SCRIPTS.iter().all(|script| !script.contains("</script") && !script.contains("<!--")));
+        assert!(
+            SCRIPTS
+                .iter()
+                .all(|script| !script.contains("</script") && !script.contains("<!--"))
+        );
     }
 }

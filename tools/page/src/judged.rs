@@ -1,9 +1,7 @@
 //! A sweep as the evaluator sees it: which box found which object.
 
 use realo_schemas::{Box3, Boxes, GroundTruth, Header};
-use realo_scoring::{
-    Collector, EvaluationError, Frame, Labels, Outcome, Outline, Protocol, Scope, match_frame,
-};
+use realo_scoring::{Collector, EvaluationError, Frame, Labels, Outcome, Outline, Protocol, Scope, match_frame};
 
 /// A detection that found nothing.
 pub const FALSE: i32 = -1;
@@ -50,8 +48,16 @@ impl Judged {
             });
         };
         let frame = frame(header, content, boxes, protocol)?;
-        let objects = Places::of(labelled(content, protocol), |index| frame.truths[index].outline, frame.truths.len());
-        let places = Places::of(detected, |index| frame.detections[index].outline, frame.detections.len());
+        let objects = Places::of(
+            labelled(content, protocol),
+            |index| frame.truths[index].outline,
+            frame.truths.len(),
+        );
+        let places = Places::of(
+            detected,
+            |index| frame.detections[index].outline,
+            frame.detections.len(),
+        );
         let mut judged = Judged {
             detections: vec![vec![NOT_COUNTED; protocol.ious.len()]; detected.len()],
             detection_classes: places.raw_to_counted(|index| frame.detections[index].class),

@@ -60,26 +60,39 @@ impl Points {
         // By log: the agents and the stamps of all its egos.
         let mut wanted: BTreeMap<String, (BTreeSet<String>, BTreeSet<i64>, bool)> = BTreeMap::new();
         for scene in &scenes.parts {
-            let (agents, times, exact) = wanted.entry(scene.log.clone()).or_insert_with(|| (BTreeSet::new(), BTreeSet::new(), true));
+            let (agents, times, exact) = wanted
+                .entry(scene.log.clone())
+                .or_insert_with(|| (BTreeSet::new(), BTreeSet::new(), true));
             agents.extend(scene.agents.iter().map(|agent| agent.name.clone()));
             times.extend(scene.frames.values().map(|frame| frame.t));
             *exact &= scene.exact;
         }
-        let sweeps: usize = wanted.values().map(|(agents, times, _)| agents.len() * apart(times)).sum();
+        let sweeps: usize = wanted
+            .values()
+            .map(|(agents, times, _)| agents.len() * apart(times))
+            .sum();
         let most = (request.most_point_bytes / POINT_BYTES / sweeps.max(1)).max(64);
         let mut points = Points::default();
         let mut largest = 0.0f32;
         for (name, (agents, times, exact)) in &wanted {
-            let Some(Some(log)) = scenes.logs.get(name) else { continue };
+            let Some(Some(log)) = scenes.logs.get(name) else {
+                continue;
+            };
             let (origin, start) = scenes.origins[name];
             for (number, agent) in agents.iter().enumerate() {
-                watch(&format!("reading the points of {agent} in {name}"), number, agents.len());
+                watch(
+                    &format!("reading the points of {agent} in {name}"),
+                    number,
+                    agents.len(),
+                );
                 let stream = match *exact && log.has(agent, Stream::PoseTruth) {
                     true => Stream::PoseTruth,
                     false => Stream::Pose,
                 };
                 if !log.has(agent, Stream::Points) || !log.has(agent, stream) {
-                    left_out.push(format!("the log `{name}` has no points or poses of agent `{agent}`: the player shows none"));
+                    left_out.push(format!(
+                        "the log `{name}` has no points or poses of agent `{agent}`: the player shows none"
+                    ));
                     continue;
                 }
                 let track = pose_track(log, agent, stream, MAX_GAP)?;
@@ -89,17 +102,27 @@ impl Points {
                     let stamp = entry.stamp();
                     let t = (stamp - start) / 1_000_000;
                     let near = NEAR / 1_000_000;
-                    let Some(pose) = track.at(stamp).filter(|_| times.range(t - near..=t + near).next().is_some()) else {
+                    let Some(pose) = track
+                        .at(stamp)
+                        .filter(|_| times.range(t - near..=t + near).next().is_some())
+                    else {
                         continue;
                     };
                     let from = (pose.translation.vector - origin).map(f64::round);
-                    let map_from_here = Isometry3::from_parts(Translation3::from(from + origin), UnitQuaternion::identity());
+                    let map_from_here =
+                        Isometry3::from_parts(Translation3::from(from + origin), UnitQuaternion::identity());
                     let cloud = in_ego_frame(&entry.cloud()?, stamp, &track, &map_from_here, &pose);
                     let (side, cloud) = thinned(cloud, most, cell);
                     largest = largest.max(side);
                     // The next sweep needs about the same.
                     cell = (side / GROWTH).max(CELL);
-                    points.add(name, agent, t, [from.x, from.y, from.z].map(|metres| (metres * 100.0) as i64), &cloud);
+                    points.add(
+                        name,
+                        agent,
+                        t,
+                        [from.x, from.y, from.z].map(|metres| (metres * 100.0) as i64),
+                        &cloud,
+                    );
                 }
             }
         }
@@ -134,7 +157,12 @@ impl Points {
 
 /// A page with points needs every log.
 fn need_logs(scenes: &Scenes, request: &Request) -> Result<(), PageError> {
-    let missing: Vec<&String> = scenes.logs.iter().filter(|(_, log)| log.is_none()).map(|(name, _)| name).collect();
+    let missing: Vec<&String> = scenes
+        .logs
+        .iter()
+        .filter(|(_, log)| log.is_none())
+        .map(|(name, _)| name)
+        .collect();
     let Some(name) = missing.first() else {
         return Ok(());
     };
@@ -143,7 +171,11 @@ fn need_logs(scenes: &Scenes, request: &Request) -> Result<(), PageError> {
         for single in single_runs(folder)? {
             let run = read_run(&single)?;
             if run.result.logs.first() == Some(*name) {
-                tried.extend(run.log_candidates(&request.log_folders).iter().map(|path| path.display().to_string()));
+                tried.extend(
+                    run.log_candidates(&request.log_folders)
+                        .iter()
+                        .map(|path| path.display().to_string()),
+                );
             }
         }
     }
@@ -239,7 +271,13 @@ mod tests {
     #[test]
     fn base64_is_that_of_its_standard() {
         // RFC 4648, section 10.
-        for (plain, coded) in [("", ""), ("f", "Zg=="), ("fo", "Zm8="), ("foo", "Zm9v"), ("foobar", "Zm9vYmFy")] {
+        for (plain, coded) in [
+            ("", ""),
+            ("f", "Zg=="),
+            ("fo", "Zm8="),
+            ("foo", "Zm9v"),
+            ("foobar", "Zm9vYmFy"),
+        ] {
             let mut text = String::new();
             base64(plain.as_bytes(), &mut text);
             assert_eq!(text, coded);
@@ -260,6 +298,9 @@ mod tests {
         assert_eq!(thin[0], cloud[0]);
         assert!(thin.last().unwrap()[0] > 99.0);
         assert_eq!(thinned(cloud.clone(), 10_000, CELL), (0.0, cloud));
-        assert!(thinned(vec![[9000.0, 0.0, 0.0]], 10, CELL).1.is_empty(), "further than the steps reach");
+        assert!(
+            thinned(vec![[9000.0, 0.0, 0.0]], 10, CELL).1.is_empty(),
+            "further than the steps reach"
+        );
     }
 }

@@ -189,6 +189,10 @@ impl Scenes {
             (None, Some(log)) => Protocol::load(&log.info().protocol)?,
             (None, None) => Protocol::load("default")?,
         };
+        // In the protocol's order, before any other name.
+        protocol.classes.iter().for_each(|class| {
+            names.class(&class.name);
+        });
         let Some((first, pose)) = recorded.sweeps.values().find_map(begin) else {
             return Ok(());
         };
@@ -230,9 +234,13 @@ impl Scenes {
         for scene in &mut self.parts {
             for run in &mut scene.runs {
                 for (seq, frame) in &mut run.frames {
-                    let Some(shared) = scene.frames.get_mut(seq) else { continue };
+                    let Some(shared) = scene.frames.get_mut(seq) else {
+                        continue;
+                    };
                     match &frame.objects {
-                        Some(objects) if shared.objects.is_empty() => shared.objects = frame.objects.take().unwrap_or_default(),
+                        Some(objects) if shared.objects.is_empty() => {
+                            shared.objects = frame.objects.take().unwrap_or_default()
+                        }
                         Some(objects) if *objects == shared.objects => frame.objects = None,
                         _ => {}
                     }
@@ -250,7 +258,10 @@ fn begin(sweep: &Sweep) -> Option<(Nanos, Isometry3<f64>)> {
     let boxes = sweep.boxes.as_ref().map(|(header, _)| header);
     let truth = sweep.truth.as_ref().map(|(header, _)| header);
     let pose = boxes.into_iter().chain(truth).find_map(|header| header.pose.as_ref());
-    Some((boxes.or(truth)?.stamp, pose.map_or_else(Isometry3::identity, |pose| pose.map_from_frame)))
+    Some((
+        boxes.or(truth)?.stamp,
+        pose.map_or_else(Isometry3::identity, |pose| pose.map_from_frame),
+    ))
 }
 
 /// The log of a run, if it is there; the player does without.
@@ -345,7 +356,11 @@ impl ScenePart {
             .map(|at| {
                 let track = recorded.poses.get(self.agents[at].name.as_str());
                 let pose = track.and_then(|track| track.at(stamp).or_else(|| track.nearest(stamp)));
-                if at == 0 { Some(ego) } else { pose.map(|pose| pose_row(&pose, origin)) }
+                if at == 0 {
+                    Some(ego)
+                } else {
+                    pose.map(|pose| pose_row(&pose, origin))
+                }
             })
             .collect();
         let frame = self.frames.entry(seq).or_default();
@@ -401,7 +416,11 @@ impl ScenePart {
         let kind_of = |kind: Kind| Kind::ALL.iter().position(|known| *known == kind).unwrap_or(0) as i64;
         // A message's fate is the first that fits; a use says for which sweep.
         let mut ends: BTreeMap<(usize, i64, u64), (Fate, Option<u64>)> = BTreeMap::new();
-        for fated in recorded.fates.iter().filter(|fated| fated.message.kind != Kind::AgentState) {
+        for fated in recorded
+            .fates
+            .iter()
+            .filter(|fated| fated.message.kind != Kind::AgentState)
+        {
             let agent = self.agent(&fated.message.from, None);
             let (kind, seq) = (kind_of(fated.message.kind), fated.message.seq);
             let end = ends.entry((agent, kind, seq)).or_insert((fated.fate, None));
@@ -427,13 +446,14 @@ impl ScenePart {
             let t = query.and_then(|query| self.frames.get(&query)).map(|frame| frame.t);
             let t = t.or_else(|| {
                 let of_sender = (*agent, *kind, 0)..=(*agent, *kind, u64::MAX);
-                let used = ends.range(of_sender).filter_map(|((.., seq), (_, query))| {
-                    Some((*seq, self.frames.get(&(*query)?)?.t))
-                });
+                let used = ends
+                    .range(of_sender)
+                    .filter_map(|((.., seq), (_, query))| Some((*seq, self.frames.get(&(*query)?)?.t)));
                 placed(*seq, used)
             });
             let number = Fate::ALL.iter().position(|known| known == fate).unwrap_or(0);
-            run.messages.push([*agent as i64, *kind, *seq as i64, number as i64, t.unwrap_or(-1)]);
+            run.messages
+                .push([*agent as i64, *kind, *seq as i64, number as i64, t.unwrap_or(-1)]);
         }
     }
 }
@@ -458,7 +478,10 @@ mod tests {
     fn a_message_is_placed_between_its_neighbours() {
         let used = [(10, 1000), (12, 1200), (20, 2000)];
         let at = |seq| placed(seq, used.into_iter());
-        assert_eq!([10, 11, 15, 20, 22, 8].map(at), [1000, 1100, 1500, 2000, 2200, 800].map(Some));
+        assert_eq!(
+            [10, 11, 15, 20, 22, 8].map(at),
+            [1000, 1100, 1500, 2000, 2200, 800].map(Some)
+        );
         assert_eq!(placed(3, [(1, 5)].into_iter()), None);
     }
 }

@@ -21,7 +21,10 @@ pub fn overlap(runs: &[(&str, &Run)]) -> String {
 /// Who beat whom, what cooperation gained or harmed, and what was lost or late.
 pub fn sentences(runs: &[(&str, &Run)]) -> Vec<String> {
     let iou = overlap(runs);
-    let scored: Vec<Scored> = runs.iter().filter_map(|(name, run)| Scored::of(name, run, &iou)).collect();
+    let scored: Vec<Scored> = runs
+        .iter()
+        .filter_map(|(name, run)| Scored::of(name, run, &iou))
+        .collect();
     let mut said = vec![ranking(&scored, &iou)];
     said.extend(margins(&scored));
     said.push(traffic(runs));
@@ -82,7 +85,9 @@ fn ranking(scored: &[Scored], iou: &str) -> String {
         ),
         [first, second, ..] => {
             let last = order.last().filter(|_| order.len() > 2);
-            let last = last.map_or(String::new(), |last| format!("; last is {} with {:.3}", last.name, last.mean));
+            let last = last.map_or(String::new(), |last| {
+                format!("; last is {} with {:.3}", last.name, last.mean)
+            });
             format!(
                 "{} is best, with mAP {} at IoU {iou}: {:.3} more than {}, which has {}{last}. {}",
                 first.name,
@@ -127,7 +132,11 @@ fn margins(scored: &[Scored]) -> Option<String> {
         true => "no class became worse".into(),
         false => format!("worse than the ego alone: {}", harm.join(", ")),
     };
-    Some(format!("Margin over the ego alone ({}): {}; {harm}.", alone.name, all.join(", ")))
+    Some(format!(
+        "Margin over the ego alone ({}): {}; {harm}.",
+        alone.name,
+        all.join(", ")
+    ))
 }
 
 /// Classes in which a run is worse than the ego alone.
@@ -144,14 +153,21 @@ fn traffic(runs: &[(&str, &Run)]) -> String {
     let mut ages = Ages::default();
     let (mut skipped, mut key) = (0, 0);
     for (_, run) in runs {
-        let channels = run.result.channels().filter(|(_, kind, _)| *kind != Kind::AgentState.as_str());
+        let channels = run
+            .result
+            .channels()
+            .filter(|(_, kind, _)| *kind != Kind::AgentState.as_str());
         for (.., books) in channels.filter(|(.., books)| books.accounted.is_some()) {
             (sent, lost) = (sent + books.sent, lost + books.lost);
             if let Some(accounted) = &books.accounted {
                 fates.add(&accounted.fates);
             }
         }
-        let kinds = run.samples.ages_ns.iter().filter(|(kind, _)| **kind != Kind::AgentState);
+        let kinds = run
+            .samples
+            .ages_ns
+            .iter()
+            .filter(|(kind, _)| **kind != Kind::AgentState);
         let offline = run.result.settings.mode == "offline";
         kinds.for_each(|(_, of_kind)| ages.merge(&if offline { of_kind.distances() } else { of_kind.clone() }));
         skipped += run.result.frames.key_skipped;
@@ -186,7 +202,11 @@ fn traffic(runs: &[(&str, &Run)]) -> String {
     let all_offline = runs.iter().all(|(_, run)| run.result.settings.mode == "offline");
     let age = match (spread.p50, spread.p95) {
         (Some(half), Some(most)) if all_offline => {
-            format!("; stamps of fused data are {} apart in the median, {} at p95", ms(half), ms(most))
+            format!(
+                "; stamps of fused data are {} apart in the median, {} at p95",
+                ms(half),
+                ms(most)
+            )
         }
         (Some(half), Some(most)) => format!("; fused data are {} old in the median, {} at p95", ms(half), ms(most)),
         _ => String::new(),
@@ -264,7 +284,10 @@ mod tests {
             said[1],
             "Margin over the ego alone (none): late +0.100; worse than the ego alone: late on pedestrian (-0.100)."
         );
-        assert_eq!(said[2], "No message for fusion crossed a link; all 40 scored sweeps got boxes.");
+        assert_eq!(
+            said[2],
+            "No message for fusion crossed a link; all 40 scored sweeps got boxes."
+        );
     }
 
     #[test]
@@ -273,7 +296,10 @@ mod tests {
         for (high, words) in [(0.7, "do not overlap"), (0.8, "overlap: other logs")] {
             let second = with_interval(run(0.6, 0.6, true), [0.5, high]);
             let said = &sentences(&[("a", &first), ("b", &second)])[0];
-            assert!(said.contains(words) && said.contains("0.800 (95 % interval 0.750 to 0.850)"), "{said}");
+            assert!(
+                said.contains(words) && said.contains("0.800 (95 % interval 0.750 to 0.850)"),
+                "{said}"
+            );
         }
         assert!(sentences(&[("a", &first), ("b", &first)])[0].starts_with("a and b are level"));
     }
@@ -294,7 +320,9 @@ mod tests {
             }),
             ..LinkBooks::default()
         };
-        late.result.links.insert("rsu1-cav1".into(), BTreeMap::from([("boxes".into(), books)]));
+        late.result
+            .links
+            .insert("rsu1-cav1".into(), BTreeMap::from([("boxes".into(), books)]));
         let said = sentences(&[("late", &late)]);
         assert_eq!(said.len(), 2, "no ego alone, no margin");
         assert_eq!(

@@ -37,7 +37,10 @@ pub struct Args {
 
 /// Writes the page and says what is on it.
 pub fn main(args: &Args) -> Result<Outcome> {
-    let ending = args.output.extension().map(|ending| ending.to_string_lossy().to_lowercase());
+    let ending = args
+        .output
+        .extension()
+        .map(|ending| ending.to_string_lossy().to_lowercase());
     if !matches!(ending.as_deref(), Some("html" | "htm")) {
         bail!(
             "{}: expected a file name that ends in .html, found {}",
@@ -47,7 +50,10 @@ pub fn main(args: &Args) -> Result<Outcome> {
     }
     args.force.check(&args.output, Output::HTML)?;
     if let Some(log) = args.log.as_ref().filter(|log| !log.exists()) {
-        bail!("{}: no such file; give the log that was played with --log", log.display());
+        bail!(
+            "{}: no such file; give the log that was played with --log",
+            log.display()
+        );
     }
     let request = Request {
         runs: names(&args.runs).into_iter().zip(args.runs.clone()).collect(),
@@ -67,21 +73,35 @@ pub fn main(args: &Args) -> Result<Outcome> {
     let written = std::fs::write(&partial, &page.html).and_then(|()| std::fs::rename(&partial, &args.output));
     if let Err(reason) = written {
         let _ = std::fs::remove_file(&partial);
-        bail!("{}: cannot be written: {reason}; choose another place with -o", args.output.display());
+        bail!(
+            "{}: cannot be written: {reason}; choose another place with -o",
+            args.output.display()
+        );
     }
     for line in &page.left_out {
         eprintln!("realo: {line}");
     }
-    println!("{}: {}; open it in a browser", args.output.display(), in_words(&page, args.runs.len()));
+    println!(
+        "{}: {}; open it in a browser",
+        args.output.display(),
+        in_words(&page, args.runs.len())
+    );
     Ok(Outcome::Complete)
 }
 
 fn in_words(page: &realo_page::Page, runs: usize) -> String {
     let megabytes = page.html.len() as f64 / 1e6;
-    let runs = if runs == 1 { "1 run".into() } else { format!("{runs} runs") };
+    let runs = if runs == 1 {
+        "1 run".into()
+    } else {
+        format!("{runs} runs")
+    };
     let points = match page.points {
         0 => String::new(),
         points => format!(", {points} points"),
     };
-    format!("{runs}, {} sweeps in the player{points}, {megabytes:.1} MB", page.sweeps)
+    format!(
+        "{runs}, {} sweeps in the player{points}, {megabytes:.1} MB",
+        page.sweeps
+    )
 }

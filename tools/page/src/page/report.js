@@ -48,13 +48,13 @@ function verdict() {
 /** The table of scores: rows by kind, a column for each run, the best of a row in bold. */
 function scores() {
   const rows = [];
-  const add = (name, pick, places = 3, better = 1, small = () => null) => {
+  const add = (name, pick, places = 3, better = 1, small = () => null, written = fixed) => {
     const values = DOC.runs.map(pick);
     if (!values.some(known)) return;
     const numbers = values.filter(known);
     const best = DOC.runs.length > 1 && better && numbers.length > 1 ? better * Math.max(...numbers.map((value) => better * value)) : null;
     rows.push(el("tr", {}, el("td", {}, name), DOC.runs.map((run, at) => el("td", { class: known(best) && fixed(values[at], places) === fixed(best, places) ? "best" : null },
-      places === 0 ? count(values[at]) : fixed(values[at], places), small(run) ? el("small", {}, small(run)) : null))));
+      places === 0 ? count(values[at]) : written(values[at], places), small(run) ? el("small", {}, small(run)) : null))));
   };
   const group = (name) => rows.push(el("tr", { class: "group" }, el("td", { colspan: DOC.runs.length + 1 }, name)));
   const bounds = (pair) => pair && `${fixed(pair[0])}–${fixed(pair[1])}`;
@@ -66,7 +66,7 @@ function scores() {
       add(klass, (run) => accuracyOf(run) && (accuracyOf(run).AP[klass] || {})[iou], 3, 1, (run) => bounds(intervalsOf(run) && (intervalsOf(run).AP[klass] || {})[iou]));
     }
     add("objects that the ego itself sees", (run) => run.result.accuracy_seen && run.result.accuracy_seen.sorted.mAP[iou]);
-    if (alone && DOC.runs.length > 1) add("margin over the ego alone", (run) => (run === alone || !known(meanOf(run, iou)) || !known(meanOf(alone, iou)) ? null : meanOf(run, iou) - meanOf(alone, iou)), 3, 1);
+    if (alone && DOC.runs.length > 1) add("margin over the ego alone", (run) => (run === alone || !known(meanOf(run, iou)) || !known(meanOf(alone, iou)) ? null : meanOf(run, iou) - meanOf(alone, iou)), 3, 1, () => null, signed);
   }
   group("Cost and time");
   const field = (name) => (run) => (run.fields[name] === "" || !known(run.fields[name]) ? null : Number(run.fields[name]));
