@@ -23,6 +23,9 @@ const NEAR: Nanos = 60_000_000;
 /// Points are thinned on cells of this side first, m, and then of ever larger ones.
 const CELL: f32 = 0.1;
 const GROWTH: f32 = 1.25;
+/// Points lower than this above an agent's ground are thinned on cells that are larger by this factor: they say least.
+const GROUND_M: f32 = 0.3;
+const GROUND_CELLS: f32 = 4.0;
 
 /// Where a sweep's points are in the text.
 #[derive(Debug, Serialize)]
@@ -108,7 +111,7 @@ impl Points {
                     else {
                         continue;
                     };
-                    let from = (pose.translation.vector - origin).map(f64::round);
+                    let from = (pose.translation.vector - origin).map(|metres| (metres * 100.0).round() / 100.0);
                     let map_from_here =
                         Isometry3::from_parts(Translation3::from(from + origin), UnitQuaternion::identity());
                     let cloud = in_ego_frame(&entry.cloud()?, stamp, &track, &map_from_here, &pose);
@@ -120,7 +123,7 @@ impl Points {
                         name,
                         agent,
                         t,
-                        [from.x, from.y, from.z].map(|metres| (metres * 100.0) as i64),
+                        [from.x, from.y, from.z].map(|metres| (metres * 100.0).round() as i64),
                         &cloud,
                     );
                 }
@@ -128,7 +131,8 @@ impl Points {
         }
         if largest > 0.0 {
             left_out.push(format!(
-                "points are thinned to one in a cell of {largest:.2} m at most, so that they stay below {} MB",
+                "points are thinned to one in a cell of {largest:.2} m, on the ground of {:.1} m, so that they stay below {} MB",
+                GROUND_CELLS * largest,
                 request.most_point_bytes / 1_000_000
             ));
         }
@@ -218,8 +222,10 @@ fn thinned(cloud: Vec<[f32; 3]>, most: usize, mut cell: f32) -> (f32, Vec<[f32; 
         let mut taken: HashSet<u64, BuildHasherDefault<CellHasher>> = HashSet::default();
         // Three numbers of 21 bits: no cell is further from the middle than 655 m / 0.1 m.
         let number = |point: &[f32; 3]| {
-            let cells = point.map(|metres| (metres / cell).floor() as i64 as u64 & 0x1f_ffff);
-            cells[0] << 42 | cells[1] << 21 | cells[2]
+            let is_ground = point[2] < GROUND_M;
+            let side = if is_ground { GROUND_CELLS * cell } else { cell };
+            let cells = point.map(|metres| (metres / side).floor() as i64 as u64 & 0x1f_ffff);
+            u64::from(is_ground) << 63 | cells[0] << 42 | cells[1] << 21 | cells[2]
         };
         kept.retain(|point| taken.insert(number(point)));
         if kept.len() <= most {

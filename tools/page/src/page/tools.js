@@ -50,7 +50,7 @@ function quantile(values, share) {
 }
 
 const runColor = (run) => `var(--run${run % 6})`;
-const runDash = (run) => DASHES[Math.floor(run / 6) % DASHES.length] || DASHES[run % 3 === 0 ? 0 : run % 3];
+const runDash = (run) => DASHES[(run + Math.floor(run / 6)) % DASHES.length];
 const swatch = (color) => el("i", { class: "swatch", style: `--c:${color}` });
 
 /** Colours of the style sheet as canvases need them. */
