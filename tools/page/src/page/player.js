@@ -215,6 +215,27 @@ function pointsOf(part) {
   return points;
 }
 
+/** Points as pixels, by the same sums as `projection`, which would make a list for each of a million points a second. */
+function plot(points, pixels, width, height, ratio, low, high, ground) {
+  const top = state.view === "top";
+  const sin = Math.sin(camera.turn), cos = Math.cos(camera.turn);
+  const tiltSin = top ? 1 : Math.sin(camera.tilt), tiltCos = top ? 0 : Math.cos(camera.tilt);
+  const away = height / ratio / camera.scale * 1.1;
+  const [cx, cy, scale] = [width / 2, height / 2, camera.scale * ratio];
+  for (let at = 0; at < points.length; at += 3) {
+    const dx = points[at] - camera.x, dy = points[at + 1] - camera.y, z = points[at + 2];
+    const ahead = sin * dx + cos * dy;
+    const depth = top ? away : away + ahead * tiltCos - z * tiltSin;
+    if (depth < away * 0.04) continue;
+    const k = scale * away / depth;
+    const px = (cx + (cos * dx - sin * dy) * k) | 0, py = (cy - (ahead * tiltSin + (top ? 0 : z * tiltCos)) * k) | 0;
+    if (px < 0 || py < 0 || px >= width - 1 || py >= height) continue;
+    const place = py * width + px;
+    if (z > ground) pixels[place] = pixels[place + 1] = high;
+    else pixels[place] = low;
+  }
+}
+
 /** Draws the ground and all points into the pixels of a canvas. */
 function drawPixels(context, pane, t) {
   const { canvas } = pane;
@@ -233,7 +254,6 @@ function drawPixels(context, pane, t) {
   const word = ([r, g, b]) => (255 << 24 | b << 16 | g << 8 | r) >>> 0;
   const view = rgb(paint.view);
   pixels.fill(word(view));
-  const project = projection(pane.width, pane.height);
   scene().agents.forEach((agent, number) => {
     if (state.agent >= 0 && state.agent !== number) return;
     const part = cloudNear(scene().log, agent.name, t);
@@ -242,17 +262,7 @@ function drawPixels(context, pane, t) {
     const hue = rgb(paint.agents[number % 6]);
     // Points near the ground recede, so that objects stand out.
     const mixed = (share) => word(hue.map((value, at) => Math.round(value * share + view[at] * (1 - share))));
-    const colors = [mixed(0.35), mixed(0.9)];
-    const ground = part.from[2] / 100 + 0.3;
-    for (let at = 0; at < points.length; at += 3) {
-      const place = project(points[at], points[at + 1], points[at + 2]);
-      if (!place) continue;
-      const px = Math.round(place[0] * ratio), py = Math.round(place[1] * ratio);
-      if (px < 0 || py < 0 || px >= width - 1 || py >= height) continue;
-      const high = points[at + 2] > ground;
-      pixels[py * width + px] = colors[high ? 1 : 0];
-      if (high) pixels[py * width + px + 1] = colors[1];
-    }
+    plot(points, pixels, width, height, ratio, mixed(0.35), mixed(0.9), part.from[2] / 100 + 0.3);
   });
   context.putImageData(pane.image, 0, 0);
 }
