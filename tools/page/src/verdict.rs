@@ -198,6 +198,11 @@ fn traffic(runs: &[(&str, &Run)]) -> String {
         true => "none was lost or late".into(),
         false => not_used.join(", "),
     };
+    let of = if runs.len() > 1 {
+        "In all runs together, of"
+    } else {
+        "Of"
+    };
     let spread = Spread::of_ages(&ages);
     let all_offline = runs.iter().all(|(_, run)| run.result.settings.mode == "offline");
     let age = match (spread.p50, spread.p95) {
@@ -212,7 +217,7 @@ fn traffic(runs: &[(&str, &Run)]) -> String {
         _ => String::new(),
     };
     format!(
-        "Of {sent} messages {} were used ({:.0} %), {not_used}{age}; {boxes}.",
+        "{of} {sent} messages {} were used ({:.0} %), {not_used}{age}; {boxes}.",
         fates.used,
         100.0 * fates.used as f64 / sent as f64
     )
