@@ -7,7 +7,7 @@ const MOST_PANES = 4;
 /** What is shown. The address of the page keeps it. */
 const state = {
   scene: 0, at: 0, runs: [], iou: 0, view: "top", follow: false, klass: "", agent: -1, picked: null, speed: 1,
-  playing: false, hidden: new Set(),
+  playing: false, hidden: new Set(), score: 0,
 };
 /** Where the viewer is: a place in the map (m), pixels for a metre, turns about the vertical and down (rad). */
 const camera = { x: 0, y: 0, scale: 4, turn: 0, tilt: 0.55 };
@@ -24,6 +24,13 @@ function timeline(of = scene()) {
     timelines.set(of, seqs.sort((a, b) => of.frames[a].t - of.frames[b].t));
   }
   return timelines.get(of);
+}
+
+/** The runs that are shown at first: the first, and beside it the ego alone, else the second. */
+function firstRuns() {
+  const runs = scene().runs.map((_, run) => run);
+  const alone = runs.slice(1).find((run) => DOC.runs[scene().runs[run].run].alone);
+  return alone === undefined ? runs.slice(0, 2) : [0, alone];
 }
 
 const seqNow = () => timeline()[state.at];
@@ -73,6 +80,7 @@ function judge(of, run, seq, iou) {
 function passes(one) {
   if (state.klass && one.klass !== state.klass) return false;
   if (state.hidden.has(one.fate)) return false;
+  if (one.kind === "box" && one.score < state.score) return false;
   if (state.agent >= 0) {
     const object = one.kind === "object" ? one : one.object;
     return Boolean(object && object.points[state.agent] > 0);
@@ -707,6 +715,7 @@ function makeFilters() {
     el("button", { type: "button", onclick: () => { setFollow(false); fitView(); draw(); keepPlace(); } }, "Whole scene"),
     choice("Class", [["", "all"], ...classes.map((name) => [name, name])], state.klass, again((value) => { state.klass = value; })),
     choice("Points of", [[-1, "anyone"], ...of.agents.map((agent, at) => [at, agent.name])], state.agent, again((value) => { state.agent = value; })),
+    choice("Score", [0, 0.3, 0.5, 0.7].map((least) => [least, least ? `≥ ${least}` : "any"]), state.score, again((value) => { state.score = value; })),
     choice("IoU", of.ious.map((iou, at) => [at, iou]), state.iou, again((value) => { state.iou = value; drawStrip(); })),
     ...(of.runs.length > 1 ? [runButtons(of)] : []),
   );
@@ -851,7 +860,7 @@ function openScene(at) {
   state.agent = -1;
   state.at = 0;
   state.iou = Math.max(0, scene().ious.indexOf(DOC.iou));
-  state.runs = scene().runs.map((_, run) => run).slice(0, 2);
+  state.runs = firstRuns();
   setUp();
   fitView();
   draw();
@@ -901,6 +910,7 @@ function keepPlace() {
     if (state.follow) place.set("follow", 1);
     if (state.klass) place.set("class", state.klass);
     if (state.agent >= 0) place.set("agent", state.agent);
+    if (state.score) place.set("score", state.score);
     place.set("iou", state.iou);
     if (state.speed !== 1) place.set("speed", state.speed);
     if (state.hidden.size) place.set("hide", [...state.hidden].join("."));
@@ -922,11 +932,12 @@ function takePlace() {
   const at = timeline().indexOf(number("sweep", 0, Number.MAX_SAFE_INTEGER));
   state.at = Math.max(0, at);
   const runs = (place.get("runs") || "").split(".").map(Number).filter((run) => scene().runs[run]);
-  state.runs = runs.length ? runs.slice(0, MOST_PANES) : scene().runs.map((_, run) => run).slice(0, 2);
+  state.runs = runs.length ? runs.slice(0, MOST_PANES) : firstRuns();
   state.view = place.get("view") === "3d" ? "3d" : "top";
   state.follow = place.has("follow");
   state.klass = DOC.classes.includes(place.get("class")) ? place.get("class") : "";
   state.agent = number("agent", 0, scene().agents.length - 1) ?? -1;
+  state.score = number("score", 0, 1) ?? 0;
   state.iou = number("iou", 0, scene().ious.length - 1) ?? 0;
   state.speed = number("speed", 0.1, 10) ?? 1;
   state.hidden = new Set((place.get("hide") || "").split(".").filter((fate) => FATES_OF_BOXES.some(([known]) => known === fate)));
@@ -947,7 +958,7 @@ function startPlayer() {
     draw();
   } else {
     state.iou = Math.max(0, scene().ious.indexOf(DOC.iou));
-    state.runs = scene().runs.map((_, run) => run).slice(0, 2);
+    state.runs = firstRuns();
     state.at = best();
     setUp();
     fitView();
