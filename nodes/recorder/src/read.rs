@@ -441,4 +441,27 @@ mod tests {
             assert_eq!(reader.pairs.0.len(), 0);
         }
     }
+
+    #[test]
+    fn poses_of_all_agents_come_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("recording.mcap");
+        let state = |x: f64| AgentState {
+            map_from_body: nalgebra::Isometry3::translation(x, 2.0, 0.0),
+            covariance: None,
+            velocity: None,
+            angular_rate: None,
+            status: PoseStatus::Recorded,
+        };
+        let mut recording = Recording::create(&path).unwrap();
+        let agents: [(Name, f64); 2] = [("cav1".into(), 1.0), ("rsu1".into(), 5.0)];
+        for (agent, x) in &agents {
+            let header = Header::origin(&"run".into(), agent, Kind::AgentState, 0, 7, 9);
+            recording.state(&header, &state(*x)).unwrap();
+        }
+        recording.finish(&realo_operator::Books::default()).unwrap();
+        let found: Vec<_> = states_of(&path).unwrap().map(Result::unwrap).collect();
+        let expected = agents.map(|(agent, x)| (agent, 7, state(x)));
+        assert_eq!(found, expected);
+    }
 }

@@ -148,7 +148,7 @@ impl Document {
             self.thin(stride);
             self.left_out.retain(|line| !line.starts_with(THINNED));
             self.left_out.push(format!(
-                "{THINNED} has one sweep of {stride}, so that the page stays below {} MB; a report of fewer runs, or of one \
+                "{THINNED} {stride}, so that the page stays below {} MB; a report of fewer runs, or of one \
                  log and ego (`RUN/LOG/EGO`), has more",
                 most / 1_000_000
             ));
@@ -183,7 +183,7 @@ impl Document {
     }
 }
 
-const THINNED: &str = "the player";
+const THINNED: &str = "the player has one sweep of";
 
 #[cfg(test)]
 mod tests {

@@ -67,6 +67,12 @@ impl Recorded {
         Ok(recorded)
     }
 
+    /// Takes the ego's outline, which a recording leaves out: boxes in it are the ego itself, and not false.
+    pub fn take_footprint(&mut self, footprint: Option<[f64; 4]>) {
+        let truths = self.sweeps.values_mut().filter_map(|sweep| sweep.truth.as_mut());
+        truths.for_each(|(_, truth)| truth.ego_footprint = footprint);
+    }
+
     fn kept(&mut self, seq: u64, most: usize) -> Option<&mut Sweep> {
         if !seq.is_multiple_of(self.stride) {
             return None;

@@ -159,7 +159,7 @@ impl Scenes {
                 continue;
             }
             let run = read_run(&folder)?;
-            let recorded = Recorded::read(&recording, &run.result.settings.ego, most)?;
+            let mut recorded = Recorded::read(&recording, &run.result.settings.ego, most)?;
             if (recorded.total as u64) < run.result.frames.total {
                 left_out.push(format!(
                     "{name}: {} holds {} of {} sweeps: it was cut; run it again to have all",
@@ -168,7 +168,7 @@ impl Scenes {
                     run.result.frames.total
                 ));
             }
-            self.add(number, &run, &recorded, request, names)?;
+            self.add(number, &run, &mut recorded, request, names, left_out)?;
         }
         Ok(())
     }
@@ -177,13 +177,26 @@ impl Scenes {
         &mut self,
         number: usize,
         run: &Run,
-        recorded: &Recorded,
+        recorded: &mut Recorded,
         request: &Request,
         names: &mut Names,
+        left_out: &mut Vec<String>,
     ) -> Result<(), PageError> {
         let log = run.result.logs.first().cloned().unwrap_or_default();
         let ego = run.result.settings.ego.clone();
         let found = self.logs.entry(log.clone()).or_insert_with(|| open(run, request));
+        match found {
+            Some(found) => recorded.take_footprint(found.info().agent(&ego).and_then(|agent| agent.footprint)),
+            None => {
+                let line = format!(
+                    "the log `{log}` is not here: the player knows no outlines of agents, and boxes on the ego itself count as \
+                     false there; say where it is with --log"
+                );
+                if !left_out.contains(&line) {
+                    left_out.push(line);
+                }
+            }
+        }
         let protocol = match (&run.samples.evaluation, &found) {
             (Some(evaluation), _) => evaluation.protocol.clone(),
             (None, Some(log)) => Protocol::load(&log.info().protocol)?,
