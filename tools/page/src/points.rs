@@ -11,7 +11,7 @@ use realo_results::read_run;
 use realo_schemas::Nanos;
 use serde::Serialize;
 
-use crate::scenes::Scenes;
+use crate::scenes::{PoseRow, Scenes};
 use crate::{PageError, Request, Watch};
 
 /// Length of a step, m; 16 bits reach 655 m.
@@ -22,10 +22,14 @@ const POINT_BYTES: usize = 8;
 const NEAR: Nanos = 60_000_000;
 /// Points are thinned on cells of this side first, m, and then of ever larger ones.
 const CELL: f32 = 0.1;
-const GROWTH: f32 = 1.25;
+const GROWTH: f32 = 1.15;
 /// Points lower than this above an agent's ground are thinned on cells that are larger by this factor: they say least.
 const GROUND_M: f32 = 0.3;
 const GROUND_CELLS: f32 = 4.0;
+/// Points on objects are thinned on cells that are smaller by this factor: they are what one looks at.
+const OBJECT_CELLS: f32 = 0.2;
+/// Side of the squares on the map that say where objects are, m.
+const SQUARE: f64 = 1.0;
 
 /// Where a sweep's points are in the text.
 #[derive(Debug, Serialize)]
@@ -82,6 +86,7 @@ impl Points {
                 continue;
             };
             let (origin, start) = scenes.origins[name];
+            let objects = Objects::of(scenes, name);
             for (number, agent) in agents.iter().enumerate() {
                 watch(
                     &format!("reading the points of {agent} in {name}"),
@@ -115,7 +120,12 @@ impl Points {
                     let map_from_here =
                         Isometry3::from_parts(Translation3::from(from + origin), UnitQuaternion::identity());
                     let cloud = in_ego_frame(&entry.cloud()?, stamp, &track, &map_from_here, &pose);
-                    let (side, cloud) = thinned(cloud, most, cell);
+                    let near_object = objects.at(t);
+                    let is_object = |point: &[f32; 3]| {
+                        let [x, y] = [from.x + f64::from(point[0]), from.y + f64::from(point[1])];
+                        near_object.is_some_and(|squares| squares.contains(&square(x, y)))
+                    };
+                    let (side, cloud) = thinned(cloud, most, cell, is_object);
                     largest = largest.max(side);
                     // The next sweep needs about the same.
                     cell = (side / GROWTH).max(CELL);
@@ -211,7 +221,12 @@ fn apart(times: &BTreeSet<i64>) -> usize {
 
 /// So many points at most, in the order of the sweep; and the side of the cells that took it, m; 0 where all are kept.
 /// `cell`: the side to begin with.
-fn thinned(cloud: Vec<[f32; 3]>, most: usize, mut cell: f32) -> (f32, Vec<[f32; 3]>) {
+fn thinned(
+    cloud: Vec<[f32; 3]>,
+    most: usize,
+    mut cell: f32,
+    is_object: impl Fn(&[f32; 3]) -> bool,
+) -> (f32, Vec<[f32; 3]>) {
     let reach = STEP * f32::from(i16::MAX);
     let near = |point: &[f32; 3]| point.iter().all(|metres| metres.abs() < reach);
     let mut kept: Vec<[f32; 3]> = cloud.into_iter().filter(near).collect();
@@ -220,10 +235,14 @@ fn thinned(cloud: Vec<[f32; 3]>, most: usize, mut cell: f32) -> (f32, Vec<[f32; 
     }
     loop {
         let mut taken: HashSet<u64, BuildHasherDefault<CellHasher>> = HashSet::default();
-        // Three numbers of 21 bits: no cell is further from the middle than 655 m / 0.1 m.
+        // Three numbers of 21 bits: no cell is further from the middle than 655 m / 0.02 m.
         let number = |point: &[f32; 3]| {
             let is_ground = point[2] < GROUND_M;
-            let side = if is_ground { GROUND_CELLS * cell } else { cell };
+            let side = match is_ground {
+                true => GROUND_CELLS * cell,
+                false if is_object(point) => OBJECT_CELLS * cell,
+                false => cell,
+            };
             let cells = point.map(|metres| (metres / side).floor() as i64 as u64 & 0x1f_ffff);
             u64::from(is_ground) << 63 | cells[0] << 42 | cells[1] << 21 | cells[2]
         };
@@ -232,6 +251,61 @@ fn thinned(cloud: Vec<[f32; 3]>, most: usize, mut cell: f32) -> (f32, Vec<[f32; 
             return (cell, kept);
         }
         cell *= GROWTH;
+    }
+}
+
+/// Where on the map the objects are, by the times of the sweeps that name them, ms.
+struct Objects(BTreeMap<i64, HashSet<(i32, i32)>>);
+
+fn square(x: f64, y: f64) -> (i32, i32) {
+    ((x / SQUARE).floor() as i32, (y / SQUARE).floor() as i32)
+}
+
+impl Objects {
+    fn of(scenes: &Scenes, log: &str) -> Self {
+        let mut all = BTreeMap::new();
+        for frame in scenes
+            .parts
+            .iter()
+            .filter(|scene| scene.log == log)
+            .flat_map(|scene| scene.frames.values())
+        {
+            let Some(Some(ego)) = frame.poses.first() else { continue };
+            let squares: &mut HashSet<_> = all.entry(frame.t).or_default();
+            for (row, _) in &frame.objects {
+                cover(ego, row, squares);
+            }
+        }
+        Objects(all)
+    }
+
+    /// The squares with objects about this time.
+    fn at(&self, t: i64) -> Option<&HashSet<(i32, i32)>> {
+        let near = NEAR / 1_000_000;
+        let around = self.0.range(t - near..=t + near);
+        around.min_by_key(|(at, _)| (*at - t).abs()).map(|(_, squares)| squares)
+    }
+}
+
+/// Adds the squares under an object's outline.
+fn cover(ego: &PoseRow, row: &[i32], squares: &mut HashSet<(i32, i32)>) {
+    let metres = |at: usize| f64::from(row[at]) / 100.0;
+    let turned = |[x, y]: [f64; 2], yaw: f64| {
+        let (sin, cos) = (libm::sin(yaw), libm::cos(yaw));
+        [cos * x - sin * y, sin * x + cos * y]
+    };
+    let [length, width] = [metres(4), metres(5)].map(|side| side.min(100.0));
+    let steps = |side: f64| (side / (0.5 * SQUARE)).ceil().max(1.0) as i32;
+    for along in 0..=steps(length) {
+        for across in 0..=steps(width) {
+            let place = [
+                length * (f64::from(along) / f64::from(steps(length)) - 0.5),
+                width * (f64::from(across) / f64::from(steps(width)) - 0.5),
+            ];
+            let [x, y] = turned(place, f64::from(row[7]) / 1000.0);
+            let [x, y] = turned([x + metres(1), y + metres(2)], ego[3] as f64 / 1000.0);
+            squares.insert(square(x + ego[0] as f64 / 100.0, y + ego[1] as f64 / 100.0));
+        }
     }
 }
 
@@ -291,6 +365,25 @@ mod tests {
     }
 
     #[test]
+    fn objects_keep_more_points_than_walls() {
+        let cloud: Vec<[f32; 3]> = (0..10_000).map(|i| [i as f32 * 0.01, 0.0, 1.0]).collect();
+        let on_object = |point: &[f32; 3]| (10.0..14.0).contains(&point[0]);
+        let (_, thin) = thinned(cloud, 200, CELL, on_object);
+        let kept = thin.iter().filter(|point| on_object(point)).count();
+        assert!(kept > 3 * thin.len() * 4 / 100, "{kept} of {}", thin.len());
+    }
+
+    #[test]
+    fn an_object_covers_the_squares_under_it() {
+        let mut squares = HashSet::new();
+        // At (10, 0) in front of an ego that looks along y from (100, 50): at (100, 60), 4 m along y, 1 m wide.
+        let row = [0, 1000, 0, 80, 400, 100, 150, 0, -1, 1];
+        cover(&[10_000, 5_000, 0, 1571], &row, &mut squares);
+        assert!(squares.contains(&square(100.2, 61.5)) && squares.contains(&square(99.8, 58.5)));
+        assert!(!squares.contains(&square(103.0, 60.0)) && !squares.contains(&square(100.0, 64.0)));
+    }
+
+    #[test]
     fn sweeps_of_two_egos_at_about_the_same_time_are_one() {
         assert_eq!(apart(&[0, 3, 100, 104, 200, 300].into()), 4);
         assert_eq!(apart(&BTreeSet::new()), 0);
@@ -299,13 +392,13 @@ mod tests {
     #[test]
     fn a_sweep_is_thinned_to_its_share_and_keeps_its_extent() {
         let cloud: Vec<[f32; 3]> = (0..10_000).map(|i| [i as f32 * 0.01, 0.0, 1.0]).collect();
-        let (cell, thin) = thinned(cloud.clone(), 200, CELL);
+        let (cell, thin) = thinned(cloud.clone(), 200, CELL, |_| false);
         assert!(cell > 0.4 && thin.len() <= 200 && thin.len() > 100);
         assert_eq!(thin[0], cloud[0]);
         assert!(thin.last().unwrap()[0] > 99.0);
-        assert_eq!(thinned(cloud.clone(), 10_000, CELL), (0.0, cloud));
+        assert_eq!(thinned(cloud.clone(), 10_000, CELL, |_| false), (0.0, cloud));
         assert!(
-            thinned(vec![[9000.0, 0.0, 0.0]], 10, CELL).1.is_empty(),
+            thinned(vec![[9000.0, 0.0, 0.0]], 10, CELL, |_| false).1.is_empty(),
             "further than the steps reach"
         );
     }
