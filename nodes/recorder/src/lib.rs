@@ -18,7 +18,8 @@ use serde::{Deserialize, Serialize};
 pub use error::RecorderError;
 pub use log::{LogRecorder, Settings as LogSettings};
 pub use read::{
-    BoxesOf, ReportsOf, TruthOf, boxes_of, read_boxes, read_detections, read_reports, read_truth, reports_of, truth_of,
+    BoxesOf, ReportsOf, StatesOf, TruthOf, boxes_of, read_boxes, read_detections, read_reports, read_truth, reports_of,
+    states_of, truth_of,
 };
 pub use recording::FATES;
 use recording::Recording;

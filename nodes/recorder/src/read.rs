@@ -2,9 +2,11 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use realo_logs::cdr::CdrReader;
-use realo_logs::{BoxesInfo, LogError, McapFile, Messages, RECORDING_RECORD, RawMessage, Schema, boxes, views};
+use realo_logs::{BoxesInfo, LogError, McapFile, Messages, RECORDING_RECORD, RawMessage, Schema, boxes, pose, views};
 use realo_schemas::geometry::View;
-use realo_schemas::{Boxes, GroundTruth, Header, Kind, Message, Name, Nanos, OwnLabels, Pose, is_same_stamp};
+use realo_schemas::{
+    AgentState, Boxes, GroundTruth, Header, Kind, Message, Name, Nanos, OwnLabels, Pose, PoseStatus, is_same_stamp,
+};
 use serde_json::Value;
 
 /// The final boxes of a recording, in order of their ready time, bit for bit as the recorder got them.
@@ -73,6 +75,15 @@ pub fn truth_of(recording: impl AsRef<Path>) -> Result<TruthOf, LogError> {
 pub fn reports_of(recording: impl AsRef<Path>) -> Result<ReportsOf, LogError> {
     let messages = Selected::open(recording.as_ref(), |topic| topic == "/reports")?;
     Ok(ReportsOf { messages })
+}
+
+/// The recorded poses of all agents, as their graph knew them, one after the other, in constant memory.
+///
+/// # Errors
+/// A file that cannot be read or is no recording.
+pub fn states_of(recording: impl AsRef<Path>) -> Result<StatesOf, LogError> {
+    let messages = Selected::open(recording.as_ref(), |topic| topic.ends_with("/pose"))?;
+    Ok(StatesOf { messages })
 }
 
 const TRUTH: &str = "/ground_truth";
@@ -271,6 +282,30 @@ fn truth((header, boxes, info): WithCompanion) -> (Header, GroundTruth) {
     (header, truth)
 }
 
+/// The poses of a recording: agent, stamp and state.
+pub struct StatesOf {
+    messages: Selected,
+}
+
+impl StatesOf {
+    fn read(&mut self) -> Result<Option<(Name, Nanos, AgentState)>, LogError> {
+        let Some((topic, raw)) = self.messages.next()? else {
+            return Ok(None);
+        };
+        let bad = bad_content(&topic, &raw);
+        let (stamp, state) = pose::decode(raw.data(), PoseStatus::Recorded).map_err(|error| bad(error.to_string()))?;
+        Ok(Some((agent_of(&topic), stamp, state)))
+    }
+}
+
+impl Iterator for StatesOf {
+    type Item = Result<(Name, Nanos, AgentState), LogError>;
+
+    fn next(&mut self) -> Option<Self::Item> {
+        self.read().transpose()
+    }
+}
+
 /// The reports of a recording.
 pub struct ReportsOf {
     messages: Selected,
@@ -343,6 +378,7 @@ fn topics(file: &McapFile, wanted: impl Fn(&str) -> bool) -> BTreeMap<u16, Strin
             Schema::BoxesInfo,
             Schema::Views,
             Schema::String,
+            Schema::PoseWithCovarianceStamped,
         ]
         .iter()
         .any(|s| s.name() == schema)
@@ -404,5 +440,28 @@ mod tests {
             message.unwrap();
             assert_eq!(reader.pairs.0.len(), 0);
         }
+    }
+
+    #[test]
+    fn poses_of_all_agents_come_back() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = folder.path().join("recording.mcap");
+        let state = |x: f64| AgentState {
+            map_from_body: nalgebra::Isometry3::translation(x, 2.0, 0.0),
+            covariance: None,
+            velocity: None,
+            angular_rate: None,
+            status: PoseStatus::Recorded,
+        };
+        let mut recording = Recording::create(&path).unwrap();
+        let agents: [(Name, f64); 2] = [("cav1".into(), 1.0), ("rsu1".into(), 5.0)];
+        for (agent, x) in &agents {
+            let header = Header::origin(&"run".into(), agent, Kind::AgentState, 0, 7, 9);
+            recording.state(&header, &state(*x)).unwrap();
+        }
+        recording.finish(&realo_operator::Books::default()).unwrap();
+        let found: Vec<_> = states_of(&path).unwrap().map(Result::unwrap).collect();
+        let expected = agents.map(|(agent, x)| (agent, 7, state(x)));
+        assert_eq!(found, expected);
     }
 }

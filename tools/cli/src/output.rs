@@ -41,6 +41,11 @@ impl Output {
         name: "a PNG picture",
         begins: |head| head.starts_with(b"\x89PNG\r\n"),
     };
+    /// A page for a browser, of ours: others write pages too.
+    pub const HTML: Output = Output::Known {
+        name: "a report of realo",
+        begins: |head| head.starts_with(b"<!doctype html>\n<!-- realo report -->"),
+    };
     /// A trace of a link.
     pub const TRACE: Output = Output::Known {
         name: "a trace of a link",
@@ -83,7 +88,7 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let notes = folder.path().join("notes");
         fs::write(&notes, "what I must not forget").unwrap();
-        for output in [Output::Log, Output::SVG, Output::PNG, Output::TRACE] {
+        for output in [Output::Log, Output::SVG, Output::PNG, Output::HTML, Output::TRACE] {
             let said = format!("{:#}", Force::default().check(&notes, output).unwrap_err());
             assert!(
                 said.starts_with("refuse to overwrite") && said.contains("notes") && said.contains("--force"),

@@ -7,7 +7,7 @@ use realo_operator::Registration;
 
 use crate::{
     compare, doctor, evaluate, host, info, keys, latency, map, merge, new, operators, precompute, registry, render,
-    run, sweep, validate,
+    report, run, sweep, validate,
 };
 
 /// What the workbench does, for who asks this program for it.
@@ -41,6 +41,7 @@ enum Command {
     Sweep(sweep::Args),
     Compare(compare::Args),
     Evaluate(evaluate::Args),
+    Report(report::Args),
     Render(render::Args),
     Precompute(precompute::Args),
     Info(info::Args),
@@ -89,6 +90,7 @@ pub fn main_with(own: &[Registration]) -> ExitCode {
         Command::Sweep(args) => sweep::main(&args),
         Command::Compare(args) => compare::main(&args),
         Command::Evaluate(args) => evaluate::main(&args),
+        Command::Report(args) => report::main(&args),
         Command::Render(args) => render::main(&args),
         Command::Merge(args) => merge::main(&args),
         Command::Map(args) => map::main(&args),

@@ -22,6 +22,7 @@ mod paper_tests;
 pub mod precompute;
 mod registry;
 pub mod render;
+pub mod report;
 mod roles;
 pub mod run;
 mod stages;

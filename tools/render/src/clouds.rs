@@ -1,3 +1,5 @@
+//! What a log holds around the stamp of an ego's sweep: poses, truth and points.
+
 use nalgebra::{Isometry3, Point3};
 use realo_logs::{Attitude, Entry, Log, LogError, MAX_GAP, Standing, Stream, levelled_while_played, pose_track};
 use realo_schemas::geometry::{Motion, PoseTrack, relative};

@@ -11,7 +11,7 @@
 
 mod beside;
 mod chart;
-mod clouds;
+pub mod clouds;
 mod draw;
 mod drawing;
 mod error;
@@ -40,7 +40,7 @@ pub use error::RenderError;
 pub use files::{Format, write};
 pub use judge::{Detected, Judged, There};
 pub use png::png;
-pub use run::{Chosen, Request, Watch, choose};
+pub use run::{Chosen, RECORDING, Request, Watch, choose, single_runs};
 pub use scene::{Agent, Scene};
 pub use several::choose_all;
 pub use style::{Fill, Line, Style};

@@ -11,7 +11,8 @@ use realo_scoring::Protocol;
 use crate::{Judged, RenderError};
 use recorded::RecordedRun;
 
-const RECORDING: &str = "recording.mcap";
+/// The recording in the folder of a run of one log and ego.
+pub const RECORDING: &str = "recording.mcap";
 /// Where a complete run is kept that an interrupted one came after.
 const KEPT: &str = "complete-run-before";
 
@@ -109,7 +110,7 @@ pub(crate) fn choose_with(request: &Request, watch: &Watch) -> Result<Chosen, Re
 /// A folder without a complete run.
 pub(crate) fn egos(run: &Path) -> Result<Vec<String>, RenderError> {
     let ego = |folder: PathBuf| Ok(read_run(&folder)?.result.settings.ego);
-    folders(run)?.into_iter().map(ego).collect()
+    single_runs(run)?.into_iter().map(ego).collect()
 }
 
 fn asked(request: &Request) -> String {
@@ -124,7 +125,7 @@ fn asked(request: &Request) -> String {
 /// The single runs that are meant: of the log that was given, where its name tells them apart.
 fn runs(request: &Request) -> Result<Vec<(PathBuf, Run)>, RenderError> {
     let mut runs = Vec::new();
-    for folder in folders(&request.run)? {
+    for folder in single_runs(&request.run)? {
         let run = read_run(&folder)?;
         runs.push((folder, run));
     }
@@ -136,8 +137,11 @@ fn runs(request: &Request) -> Result<Vec<(PathBuf, Run)>, RenderError> {
     Ok(runs)
 }
 
-/// The folders of single runs: this one, or `<log>/<ego>` below.
-fn folders(run: &Path) -> Result<Vec<PathBuf>, RenderError> {
+/// The folders of single runs, of one log and ego each: this one, or `<log>/<ego>` below.
+///
+/// # Errors
+/// A folder without a complete run.
+pub fn single_runs(run: &Path) -> Result<Vec<PathBuf>, RenderError> {
     let run = &*run_folder(run);
     if run.join(RECORDING).exists() {
         return Ok(vec![run.into()]);

@@ -1,0 +1,337 @@
+//! `realo report`: the page opens in a browser without an error, shows what the results say, and bad input gets a clear error.
+
+#[path = "common/browser.rs"]
+mod browser;
+mod common;
+
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use browser::Browser;
+use common::{folder, json, once, realo, realo_ok, run_virtual, simulated, text};
+use serde_json::Value;
+
+const LOG: &str = "report_small";
+/// A name that a careless page would run, and that a folder may have.
+const NAME: &str = "<img src=x onerror=alert(1)>\"'&";
+
+fn log() -> PathBuf {
+    let args = [
+        "--seed",
+        "911",
+        "--seconds",
+        "3",
+        "--key-hz",
+        "5",
+        "--agents",
+        "cav1,rsu1",
+    ];
+    simulated(LOG, &args)
+}
+
+fn run(graph: &str, args: &[&str]) -> PathBuf {
+    once(&format!("report_{graph}"), |_| {
+        let args = [&["--recorded-detections"][..], args].concat();
+        run_virtual(&format!("report_{graph}"), graph, &log(), &args);
+    })
+}
+
+/// A run of late fusion over a slow link, and one of the ego alone.
+fn runs() -> [PathBuf; 2] {
+    let link = ["--link", "delay_ms=60,loss=0.2", "--set", "v2x.link.range_m=1000"];
+    [run("late_fusion", &link), run("no_fusion", &[])]
+}
+
+fn report(runs: &[&Path], output: &Path, args: &[&str]) -> (Option<i32>, String) {
+    let runs: Vec<String> = runs.iter().map(|run| run.to_string_lossy().into_owned()).collect();
+    let output = output.to_string_lossy();
+    let runs: Vec<&str> = runs.iter().map(String::as_str).collect();
+    let said = realo([&["report"][..], &runs, &["-o", &output], args].concat());
+    (
+        said.status.code(),
+        format!("{}{}", text(&said.stdout), text(&said.stderr)),
+    )
+}
+
+fn document(page: &Path) -> Value {
+    let text = fs::read_to_string(page).expect("the page is there");
+    let data = text
+        .split_once("<script type=\"application/json\" id=\"data\">")
+        .expect("the data")
+        .1;
+    let data = data.split_once("</script>").expect("their end").0;
+    serde_json::from_str(data).expect("the data are JSON")
+}
+
+fn copied(from: &Path, to: &Path) {
+    fs::create_dir_all(to).expect("a folder can be made");
+    for entry in fs::read_dir(from).expect("it can be listed").flatten() {
+        match entry.path().is_dir() {
+            true => copied(&entry.path(), &to.join(entry.file_name())),
+            false => drop(fs::copy(entry.path(), to.join(entry.file_name())).expect("it can be copied")),
+        }
+    }
+}
+
+#[test]
+fn the_player_has_the_boxes_that_the_results_count() {
+    let page = folder("report_counts").join("report.html");
+    let [late, alone] = runs();
+    let (code, said) = report(&[&late, &alone], &page, &["--log", &log().to_string_lossy()]);
+    assert_eq!(code, Some(0), "{said}");
+    assert!(said.contains("2 runs, 60 sweeps in the player"), "{said}");
+    let document = document(&page);
+    let scene = &document["scenes"][0];
+    assert_eq!(document["verdict"].as_array().map(Vec::len), Some(3));
+    for (number, folder) in [&late, &alone].into_iter().enumerate() {
+        let result = json(&folder.join(format!("{LOG}/cav1/result.json")));
+        for (place, iou) in scene["ious"].as_array().unwrap().iter().enumerate() {
+            let (mut hits, mut wrong, mut objects) = (0, 0, 0);
+            for (seq, frame) in scene["runs"][number]["frames"].as_object().unwrap() {
+                let shared = &scene["frames"][seq];
+                if shared["key"] != true {
+                    continue;
+                }
+                for row in frame["boxes"].as_array().unwrap() {
+                    let outcome = row[9 + place].as_i64().unwrap();
+                    hits += i64::from(outcome >= 0);
+                    wrong += i64::from(outcome == -1);
+                }
+                let all = frame.get("objects").unwrap_or(&shared["objects"]).as_array().unwrap();
+                objects += all.iter().filter(|object| object[0][9] == 1).count() as i64;
+            }
+            let counts = result["accuracy"]["sorted"]["counts"].as_object().unwrap();
+            let iou = iou.as_str().unwrap();
+            let total = |what: &str| counts.values().map(|of| of[iou][what].as_i64().unwrap()).sum::<i64>();
+            assert_eq!(
+                [hits, wrong, objects],
+                ["true", "false", "total"].map(total),
+                "run {number}, IoU {iou}"
+            );
+        }
+        let used: u64 = result["links"]
+            .as_object()
+            .map(|links| links.values().filter_map(|kinds| kinds["boxes"]["used"].as_u64()).sum())
+            .unwrap_or(0);
+        let fates = &document["words"]["fates"];
+        let messages = scene["runs"][number]["messages"].as_array().unwrap();
+        let of_page = messages
+            .iter()
+            .filter(|row| fates[row[3].as_u64().unwrap() as usize] == "used");
+        assert_eq!(of_page.count() as u64, used, "run {number}");
+    }
+}
+
+#[test]
+fn a_browser_opens_plays_filters_and_turns_the_page_without_an_error() {
+    let home = folder("report_browser");
+    let Some(mut browser) = Browser::start(&home.join("profile")) else {
+        return;
+    };
+    let named = home.join(NAME);
+    let [late, alone] = runs();
+    copied(&late, &named);
+    let page = home.join("report.html");
+    let log = log();
+    let (code, said) = report(&[&named, &alone], &page, &["--points", "--log", &log.to_string_lossy()]);
+    assert_eq!(code, Some(0), "{said}");
+    for (size, dark) in [
+        ([1280, 900], false),
+        ([1280, 900], true),
+        ([390, 844], false),
+        ([390, 844], true),
+    ] {
+        browser.open(&page, "", size, dark);
+        assert_eq!(
+            browser.value("document.documentElement.dataset.theme"),
+            if dark { "dark" } else { "light" }
+        );
+        let wide = "document.documentElement.scrollWidth <= innerWidth";
+        assert_eq!(browser.value(wide), true, "the page scrolls sideways at {size:?}");
+        assert_eq!(browser.value("document.querySelectorAll('#panes canvas').length"), 2);
+        assert!(browser.picture().len() > 10_000);
+    }
+    browser.open(&page, "", [1280, 900], false);
+    assert_eq!(
+        browser.value("document.querySelector('.score .name').textContent"),
+        NAME
+    );
+    assert_eq!(
+        browser.value("document.querySelectorAll('img').length"),
+        0,
+        "a name stays text"
+    );
+
+    // Keys: steps, then playing to the end.
+    browser.value("seek(0)");
+    browser.press("ArrowRight");
+    assert_eq!(browser.value("state.at"), 1);
+    browser.press("ArrowLeft");
+    assert_eq!(browser.value("state.at"), 0);
+    browser.value("state.speed = 10");
+    browser.press(" ");
+    browser.wait("!state.playing && state.at === timeline().length - 1");
+
+    // A click on a box tells its story, in both runs; it stays with its track.
+    browser.value("seek(10)");
+    let at = browser.value(
+        "(() => { const { at } = panes[0].shown.find(({ one }) => one.object);
+          const { left, top } = panes[0].canvas.getBoundingClientRect(); return [at[0] + left, at[1] + top]; })()",
+    );
+    browser.value("byId('player').scrollIntoView({ behavior: 'instant' })");
+    let at = match at.as_array() {
+        Some(_) => browser.value(
+            "(() => { const { at } = panes[0].shown.find(({ one }) => one.object);
+              const { left, top } = panes[0].canvas.getBoundingClientRect(); return [at[0] + left, at[1] + top]; })()",
+        ),
+        None => panic!("no box that found an object"),
+    };
+    for kind in ["mousePressed", "mouseReleased"] {
+        let params = serde_json::json!({"type": kind, "x": at[0], "y": at[1], "button": "left", "clickCount": 1});
+        browser.call("Input.dispatchMouseEvent", params);
+    }
+    let story = browser.value("byId('story').textContent");
+    let story = story.as_str().unwrap_or_default();
+    assert!(
+        story.contains("class") && story.contains("score") && story.contains("points of rsu1"),
+        "{story}"
+    );
+
+    // Filters leave only what they name.
+    browser.value("state.klass = 'pedestrian'; draw()");
+    assert_eq!(
+        browser.value("panes[0].shown.every(({ one }) => one.klass === 'pedestrian')"),
+        true
+    );
+    browser.value("state.klass = ''; state.hidden = new Set(['hit', 'added', 'missed', 'other']); draw()");
+    assert_eq!(
+        browser.value("panes.every((pane) => pane.shown.every(({ one }) => one.fate === 'false'))"),
+        true
+    );
+    browser.value("state.hidden = new Set(); draw()");
+
+    // In space, with points; the address keeps the place.
+    browser.press("3");
+    assert_eq!(browser.value("state.view"), "3d");
+    browser.wait("location.hash.includes('view=3d') && location.hash.includes('pick=')");
+    let hash = browser.value("location.hash");
+    let place = "JSON.stringify([state.at, state.view, state.picked, state.runs, camera.scale.toFixed(2)])";
+    let before = browser.value(place);
+    assert_eq!(browser.value("decoded.size > 0"), true, "points are drawn");
+    browser.open(&page, hash.as_str().unwrap_or_default(), [1280, 900], true);
+    assert_eq!(browser.value(place), before);
+    let elsewhere = "#scene=9&sweep=-4&runs=7.x&class=%3Cb%3E&pick=box.1.2&at=1,2,NaN";
+    browser.open(&page, elsewhere, [1280, 900], false);
+    assert_eq!(
+        browser.value("panes.length"),
+        2,
+        "an address of another page is taken as far as it fits"
+    );
+    assert_eq!(browser.said, [""; 0], "the console of the page");
+}
+
+#[test]
+fn points_are_those_of_the_log() {
+    let page = folder("report_points").join("report.html");
+    let [late, _] = runs();
+    let (code, said) = report(&[&late], &page, &["--points", "--log", &log().to_string_lossy()]);
+    assert_eq!(code, Some(0), "{said}");
+    let document = document(&page);
+    let clouds = document["points"].as_array().unwrap();
+    assert_eq!(clouds.len(), 60, "two agents, 3 s");
+    let text = fs::read_to_string(&page).unwrap();
+    let points = text
+        .split_once("id=\"points\">")
+        .unwrap()
+        .1
+        .split_once("</script>")
+        .unwrap()
+        .0;
+    let last = clouds.last().unwrap()["text"].as_array().unwrap();
+    let end = last[0].as_u64().unwrap() + last[1].as_u64().unwrap();
+    assert_eq!(points.len() as u64, end);
+    assert!(text.len() < 40_000_000, "{} bytes", text.len());
+}
+
+#[test]
+fn wrong_input_gets_a_clear_error() {
+    let home = folder("report_errors");
+    let [late, _] = runs();
+    let page = home.join("report.html");
+    let said = |runs: &[&Path], output: &Path, args: &[&str], words: &[&str]| {
+        let (code, said) = report(runs, output, args);
+        assert_eq!(code, Some(1), "{said}");
+        assert!(words.iter().all(|word| said.contains(word)), "{words:?}: {said}");
+        assert!(!output.exists() || output.ends_with("mine.html"), "nothing is written");
+    };
+    said(&[&home.join("gone")], &page, &[], &["gone", "no such folder"]);
+    said(
+        &[&late],
+        &home.join("report.pdf"),
+        &[],
+        &["report.pdf", ".html", "found .pdf"],
+    );
+    said(
+        &[&late],
+        &page,
+        &["--log", "gone.mcap"],
+        &["gone.mcap", "no such file", "--log"],
+    );
+    fs::write(home.join("mine.html"), "<html>my notes</html>").unwrap();
+    said(
+        &[&late],
+        &home.join("mine.html"),
+        &[],
+        &["refuse to overwrite", "mine.html", "--force"],
+    );
+
+    // A run of another version, and one whose recording is damaged.
+    let other = home.join("other");
+    copied(&late, &other);
+    let file = other.join("result.json");
+    let changed = fs::read_to_string(&file)
+        .unwrap()
+        .replace("\"version\": 2", "\"version\": 99");
+    fs::write(&file, changed).unwrap();
+    said(&[&other], &page, &[], &["result.json", "version 99"]);
+    let damaged = home.join("damaged");
+    copied(&late, &damaged);
+    let recording = damaged.join(format!("{LOG}/cav1/recording.mcap"));
+    fs::write(&recording, "no recording").unwrap();
+    said(&[&damaged], &page, &[], &["recording.mcap"]);
+}
+
+#[test]
+fn what_a_run_lacks_is_said_on_the_page() {
+    let home = folder("report_lacks");
+    let [late, _] = runs();
+    let page = home.join("report.html");
+    let log = log();
+    let log = log.to_string_lossy();
+    let bare = home.join("bare");
+    copied(&late, &bare);
+    let recording = bare.join(format!("{LOG}/cav1/recording.mcap"));
+    let whole = fs::read(&recording).unwrap();
+    fs::remove_file(&recording).unwrap();
+    let (code, said) = report(&[&bare], &page, &["--log", &log]);
+    assert_eq!(code, Some(0), "{said}");
+    assert!(
+        said.contains("recording.mcap is not there") && said.contains("node `recorder`"),
+        "{said}"
+    );
+    assert_eq!(document(&page)["scenes"].as_array().map(Vec::len), Some(0));
+    assert_eq!(document(&page)["left_out"].as_array().map(Vec::len), Some(1));
+    // Cut: what is before the cut is shown.
+    fs::write(&recording, &whole[..whole.len() * 6 / 10]).unwrap();
+    let (code, said) = report(&[&bare], &page, &["--log", &log]);
+    assert_eq!(code, Some(0), "{said}");
+    assert!(said.contains("of 30 sweeps: it was cut"), "{said}");
+    // The same run a hundred times: the player takes twelve, the tables all.
+    let many = vec![&*late; 100];
+    let (code, said) = report(&many, &page, &["--log", &log]);
+    assert_eq!(code, Some(0), "{said}");
+    assert!(said.contains("the player holds the first 12 of 100 runs"), "{said}");
+    assert!(fs::metadata(&page).unwrap().len() < 5_200_000, "{said}");
+    assert_eq!(document(&page)["runs"].as_array().map(Vec::len), Some(100));
+    drop(realo_ok(["report", "--help"]));
+}

@@ -1,0 +1,249 @@
+//! The document that a page holds as JSON.
+
+use std::collections::BTreeMap;
+
+use realo_report::fields;
+use realo_results::{Ages, GraphStages, Run};
+use realo_schemas::Kind;
+use realo_schemas::report::Fate;
+use serde::Serialize;
+use serde_json::{Value, json};
+
+use crate::PageError;
+use crate::curves::{PrecisionRecall, age_quantiles, precision_recall, quantiles};
+use crate::points::CloudPart;
+use crate::scenes::ScenePart;
+
+/// All that a page shows.
+#[derive(Debug, Serialize)]
+pub struct Document {
+    pub version: u32,
+    pub program: String,
+    /// Sentences.
+    pub verdict: Vec<String>,
+    /// The overlap that sentences and charts are about.
+    pub iou: String,
+    pub differences: Vec<String>,
+    pub runs: Vec<RunPart>,
+    pub classes: Vec<String>,
+    pub scenes: Vec<ScenePart>,
+    pub points: Vec<CloudPart>,
+    /// What is not on the page, and why.
+    pub left_out: Vec<String>,
+}
+
+/// A run as a whole.
+#[derive(Debug, Serialize)]
+pub struct RunPart {
+    pub name: String,
+    /// Whether nothing of others is fused.
+    pub alone: bool,
+    /// All settings and main numbers as the table for programs has them.
+    pub fields: BTreeMap<String, String>,
+    /// What `result.json` has, without the counters of stages.
+    pub result: Value,
+    /// Spreads of `timing.json`, by stage.
+    pub timing: Value,
+    /// The 0, 1 … 100 % quantiles, ms: from sweep to boxes, of each stage, and of ages.
+    pub quantiles: BTreeMap<String, Vec<f64>>,
+    pub ages: Vec<f64>,
+    pub curves: PrecisionRecall,
+    /// Stages of the graph, with their settings and inputs.
+    pub graph: GraphStages,
+}
+
+impl RunPart {
+    pub fn of(name: &str, run: &Run) -> Self {
+        let mut result = serde_json::to_value(&run.result).unwrap_or_default();
+        if let Some(result) = result.as_object_mut() {
+            for unused in ["nodes", "accuracy_processed", "peers", "clocks"] {
+                result.shift_remove(unused);
+            }
+        }
+        let timing = &run.timing;
+        let samples = &timing.samples;
+        let mut all = BTreeMap::from([("end_to_end".to_string(), quantiles(&samples.end_to_end))]);
+        for (stage, of_stage) in &samples.stages {
+            all.insert(stage.clone(), quantiles(&of_stage.latency));
+        }
+        let mut ages = Ages::default();
+        let kinds = run
+            .samples
+            .ages_ns
+            .iter()
+            .filter(|(kind, _)| **kind != Kind::AgentState);
+        kinds.for_each(|(_, of_kind)| ages.merge(of_kind));
+        let fields = fields(&[run]).into_iter();
+        RunPart {
+            name: name.into(),
+            alone: run.result.cooperation.is_none(),
+            fields: fields.map(|(field, values)| (field, values.concat())).collect(),
+            result,
+            timing: json!({
+                "latency": timing.latency_ms,
+                "waiting": timing.waiting_ms,
+                "joining": timing.joining_ms,
+                "rate_hz": timing.rate_hz,
+            }),
+            quantiles: all.into_iter().filter(|(_, values)| !values.is_empty()).collect(),
+            ages: age_quantiles(&ages),
+            curves: run
+                .samples
+                .evaluation
+                .as_ref()
+                .map(precision_recall)
+                .unwrap_or_default(),
+            graph: run.samples.graph.clone(),
+        }
+    }
+}
+
+/// Words that rows name by their places.
+fn words() -> Value {
+    json!({
+        "kinds": Kind::ALL.map(Kind::as_str),
+        "fates": Fate::ALL,
+    })
+}
+
+impl Document {
+    /// What the window of a browser is called.
+    pub fn title(&self) -> String {
+        let names: Vec<&str> = self.runs.iter().map(|run| run.name.as_str()).collect();
+        match names.as_slice() {
+            [] => "realo".into(),
+            [first, second, third, _, ..] => format!("{first}, {second}, {third} and {} more", names.len() - 3),
+            few => few.join(", "),
+        }
+    }
+
+    /// Sweeps that the player has.
+    pub fn sweeps(&self) -> usize {
+        let runs = self.scenes.iter().flat_map(|scene| &scene.runs);
+        runs.map(|run| run.frames.len()).sum()
+    }
+
+    /// The document as JSON, thinned to so many bytes at most: every 2nd, 4th, 8th … sweep of the player is kept. What was
+    /// taken away is said in [`Document::left_out`].
+    ///
+    /// # Errors
+    /// [`PageError::TooLarge`] where the rest is too large without any sweep.
+    pub fn fitted(&mut self, most: usize) -> Result<String, PageError> {
+        let mut stride: u64 = 1;
+        loop {
+            let text = self.json()?;
+            if text.len() <= most {
+                return Ok(text);
+            }
+            if self.sweeps() == 0 {
+                return Err(PageError::TooLarge {
+                    runs: self.runs.len(),
+                    bytes: text.len(),
+                    most,
+                });
+            }
+            // From far off at once: the rest of the document is small beside the sweeps.
+            let factor = (text.len() / most.max(1)) as u64 + 1;
+            stride = stride.saturating_mul(factor.next_power_of_two());
+            self.thin(stride);
+            self.left_out.retain(|line| !line.starts_with(THINNED));
+            self.left_out.push(format!(
+                "{THINNED} {stride}, so that the page stays below {} MB; a report of fewer runs, or of one \
+                 log and ego (`RUN/LOG/EGO`), has more",
+                most / 1_000_000
+            ));
+        }
+    }
+
+    fn json(&self) -> Result<String, PageError> {
+        let mut value = serde_json::to_value(self)?;
+        if let Some(fields) = value.as_object_mut() {
+            fields.insert("words".into(), words());
+        }
+        Ok(value.to_string())
+    }
+
+    /// Keeps every n-th sweep of each scene, by its place among those that are there.
+    fn thin(&mut self, stride: u64) {
+        for scene in &mut self.scenes {
+            let few = scene.frames.len() as u64 <= 1;
+            scene.frames.retain(|seq, _| !few && seq.is_multiple_of(stride));
+            let kept: Vec<u64> = scene.frames.keys().copied().collect();
+            for run in &mut scene.runs {
+                run.frames.retain(|seq, _| kept.binary_search(seq).is_ok());
+                let most = 4 * kept.len();
+                let nth = run.messages.len() / most.max(1) + 1;
+                let mut place = 0;
+                run.messages.retain(|_| {
+                    place += 1;
+                    (place - 1) % nth == 0
+                });
+            }
+        }
+    }
+}
+
+const THINNED: &str = "the player has one sweep of";
+
+#[cfg(test)]
+mod tests {
+    use realo_results::{RunResult, Samples, Settings, Timing};
+
+    use super::*;
+    use crate::scenes::{FramePart, RunFrame, SceneRun};
+
+    fn run() -> Run {
+        Run {
+            result: RunResult::new(Settings::default()),
+            timing: Timing::default(),
+            samples: Samples::default(),
+        }
+    }
+
+    fn document(sweeps: u64) -> Document {
+        let frames = (0..sweeps).map(|seq| (seq, FramePart::default())).collect();
+        let boxes = || RunFrame {
+            boxes: Some(vec![vec![1, 2, 3, 4, 5, 6, 7, 8, 9, 10, 11]; 20]),
+            ..RunFrame::default()
+        };
+        let of_run = SceneRun {
+            run: 0,
+            recorded: sweeps as usize,
+            frames: (0..sweeps).map(|seq| (seq, boxes())).collect(),
+            messages: Vec::new(),
+        };
+        let mut scene = ScenePart::empty("log", "cav1");
+        (scene.frames, scene.runs) = (frames, vec![of_run]);
+        Document {
+            version: 1,
+            program: "realo".into(),
+            verdict: Vec::new(),
+            iou: "0.5".into(),
+            differences: Vec::new(),
+            runs: vec![RunPart::of("late", &run())],
+            classes: Vec::new(),
+            scenes: vec![scene],
+            points: Vec::new(),
+            left_out: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn a_document_is_thinned_until_it_fits_and_says_so() {
+        let mut whole = document(3000);
+        let text = whole.fitted(100_000_000).unwrap();
+        assert_eq!((whole.sweeps(), whole.left_out.len()), (3000, 0));
+        for most in [text.len() / 2, text.len() / 50] {
+            let mut thin = document(3000);
+            assert!(thin.fitted(most).unwrap().len() <= most);
+            assert!(thin.sweeps() > 10 && thin.sweeps() * text.len() <= 3000 * 2 * most);
+            assert_eq!(thin.left_out.len(), 1, "{:?}", thin.left_out);
+        }
+    }
+
+    #[test]
+    fn tables_that_do_not_fit_are_an_error_that_says_what_to_do() {
+        let error = document(100).fitted(500).unwrap_err().to_string();
+        assert!(error.contains("name fewer runs"), "{error}");
+    }
+}

@@ -1,0 +1,43 @@
+use realo_logs::LogError;
+use realo_render::RenderError;
+use realo_results::FilesError;
+use realo_schemas::UnexpectedPayload;
+use realo_scoring::{EvaluationError, ProtocolError};
+
+/// Why there is no page.
+#[derive(Debug, thiserror::Error)]
+pub enum PageError {
+    /// The folder of a run.
+    #[error(transparent)]
+    Run(#[from] FilesError),
+    /// Its recordings, or the log.
+    #[error(transparent)]
+    Render(#[from] RenderError),
+    /// A log or a recording.
+    #[error(transparent)]
+    Log(#[from] LogError),
+    /// A message of the recording that is not what its topic says.
+    #[error(transparent)]
+    Message(#[from] UnexpectedPayload),
+    /// Boxes and truth that cannot be compared.
+    #[error(transparent)]
+    Evaluation(#[from] EvaluationError),
+    /// The protocol of the log.
+    #[error(transparent)]
+    Protocol(#[from] ProtocolError),
+    /// More than a page may hold, though no sweep is left in the player.
+    #[error(
+        "the tables and charts of {runs} runs take {bytes} bytes, a page may have {most}; name fewer runs, or pool them"
+    )]
+    TooLarge {
+        /// How many runs.
+        runs: usize,
+        /// Their size.
+        bytes: usize,
+        /// The limit.
+        most: usize,
+    },
+    /// The document cannot be written.
+    #[error("the document of the page cannot be written: {0}")]
+    Json(#[from] serde_json::Error),
+}

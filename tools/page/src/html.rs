@@ -1,0 +1,93 @@
+//! The page around the document.
+
+const PAGE: &str = include_str!("page/index.html");
+const STYLE: &str = include_str!("page/style.css");
+const SCRIPTS: [&str; 4] = [
+    include_str!("page/tools.js"),
+    include_str!("page/player.js"),
+    include_str!("page/charts.js"),
+    include_str!("page/report.js"),
+];
+
+/// The page: `json` is a JSON document, `points` texts of base64 without any other letter.
+///
+/// Names of others come into the page as text alone: a `<` of the document is written as its escape, so that it ends no
+/// element; the title is escaped for HTML.
+pub fn html(title: &str, json: &str, points: &str) -> String {
+    let parts = [
+        ("title", escaped(title)),
+        ("style", STYLE.into()),
+        ("data", json.replace('<', "\\u003c")),
+        ("points", points.into()),
+        ("scripts", SCRIPTS.join("\n")),
+    ];
+    let mut page = String::with_capacity(json.len() + points.len() + (1 << 18));
+    let mut rest = PAGE;
+    // In one pass, so that nothing that is put in is looked at again.
+    while let Some((before, after)) = rest.split_once("{{") {
+        page.push_str(before);
+        let (name, after) = after.split_once("}}").unwrap_or((after, ""));
+        let part = parts.iter().find(|(known, _)| *known == name);
+        page.push_str(part.map_or("", |(_, text)| text));
+        rest = after;
+    }
+    page.push_str(rest);
+    page
+}
+
+fn escaped(text: &str) -> String {
+    let mut all = String::with_capacity(text.len());
+    for letter in text.chars() {
+        match letter {
+            '&' => all.push_str("&amp;"),
+            '<' => all.push_str("&lt;"),
+            '>' => all.push_str("&gt;"),
+            '"' => all.push_str("&quot;"),
+            '\'' => all.push_str("&#39;"),
+            _ => all.push(letter),
+        }
+    }
+    all
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_cannot_leave_their_place() {
+        let name = "</script><script>alert('1')</script>\"{{data}}";
+        let json = serde_json::json!({ "name": name }).to_string();
+        let page = html(name, &json, "");
+        assert_eq!(page.matches("alert(").count(), 2, "in the title and in the data");
+        assert!(!page.contains("<script>alert"));
+        let data = page
+            .split_once("<script type=\"application/json\" id=\"data\">")
+            .unwrap()
+            .1;
+        let data = data.split_once("</script>").unwrap().0;
+        let read: serde_json::Value = serde_json::from_str(data).unwrap();
+        assert_eq!(read["name"], name);
+    }
+
+    #[test]
+    fn the_page_asks_no_network() {
+        let page = html("a", "{}", "");
+        assert!(page.contains("default-src 'none'"));
+        for outside in [
+            "src=\"http",
+            "href=\"http",
+            "@import",
+            "url(http",
+            "fetch(",
+            "XMLHttpRequest",
+        ] {
+            assert!(!page.contains(outside), "{outside}");
+        }
+        assert!(
+            SCRIPTS
+                .iter()
+                .all(|script| !script.contains("</script") && !script.contains("<!--"))
+        );
+    }
+}

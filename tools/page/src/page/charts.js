@@ -1,0 +1,350 @@
+"use strict";
+// Charts: small drawings of shapes. Every series has a colour and a dash, so that none differs in hue alone.
+
+const FRAME = { width: 380, height: 226, left: 44, right: 12, top: 22, bottom: 34 };
+
+/** Round numbers between two ends. */
+function ticks(low, high, about = 5) {
+  const rough = (high - low) / about || 1;
+  const power = 10 ** Math.floor(Math.log10(rough));
+  const step = [1, 2, 2.5, 5, 10].map((factor) => factor * power).find((candidate) => candidate >= rough);
+  const all = [];
+  for (let value = Math.ceil(low / step - 1e-9) * step; value <= high + step * 1e-6; value += step) all.push(Number(value.toFixed(10)));
+  return all;
+}
+
+const tickText = (value) => (Math.abs(value) >= 10000 ? `${value / 1000}k` : String(value));
+
+/** A drawing with a title, what it shows, and a frame. Without any value it says why there is none. */
+function figure(title, what, content, none, span) {
+  return el("figure", { class: span ? "span" : null }, el("figcaption", {}, title, el("small", {}, what)),
+    content || el("div", { class: "none" }, none));
+}
+
+/**
+ * Lines, steps or dots over two axes.
+ * `series`: `{ name, color, dash, points: [[x, y] …], dots }`; `x`, `y`: `{ label, low, high, names, from }`, the last a value
+ * that is always on the axis.
+ */
+function lines(series, x, y) {
+  const drawn = series.filter((one) => one.points.length);
+  if (!drawn.length) return null;
+  const { width, height, left, right, top, bottom } = FRAME;
+  const all = (axis) => drawn.flatMap((one) => one.points.map((point) => point[axis]));
+  const ends = (axis, wanted) => {
+    const values = all(axis);
+    const low = wanted.low ?? values.reduce((a, b) => Math.min(a, b), wanted.from ?? Infinity);
+    const high = wanted.high ?? values.reduce((a, b) => Math.max(a, b), -Infinity);
+    return [low, high > low ? high : low + 1];
+  };
+  const [[x0, x1], [y0, y1]] = [ends(0, x), ends(1, y)];
+  const px = (value) => left + (width - left - right) * (value - x0) / (x1 - x0);
+  const py = (value) => height - bottom - (height - top - bottom) * (value - y0) / (y1 - y0);
+  const picture = svg("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": `${y.label} over ${x.label}` });
+  for (const value of ticks(y0, y1)) {
+    picture.append(svg("line", { x1: left, x2: width - right, y1: py(value), y2: py(value), class: "axis" }),
+      svg("text", { x: left - 6, y: py(value) + 4, "text-anchor": "end" }, tickText(value)));
+  }
+  const marks = x.names ? x.names.map((name, at) => [at, name]) : ticks(x0, x1).map((value) => [value, tickText(value)]);
+  for (const [value, text] of marks) {
+    picture.append(svg("text", { x: px(value), y: height - bottom + 16, "text-anchor": "middle" }, text));
+  }
+  picture.append(svg("text", { x: (left + width - right) / 2, y: height - 3, "text-anchor": "middle" }, x.label));
+  picture.append(svg("text", { x: 2, y: 11 }, y.label));
+  for (const one of drawn) {
+    const path = one.points.map(([a, b]) => `${px(a).toFixed(1)} ${py(b).toFixed(1)}`);
+    picture.append(svg("path", { d: "M" + path.join("L"), fill: "none", stroke: one.color, "stroke-width": 1.9, "stroke-dasharray": one.dash, "stroke-linejoin": "round" }));
+    if (one.dots) {
+      one.points.forEach(([a, b, words]) => picture.append(svg("circle", { cx: px(a), cy: py(b), r: 3.2, fill: one.color }, svg("title", {}, `${one.name}: ${words || b}`))));
+    }
+  }
+  return picture;
+}
+
+/** Bars that are made of parts, one for each row: `{ name, parts: [[what, value, color] …] }`. */
+function stacks(rows, unit, share) {
+  const drawn = rows.filter((row) => row.parts.some(([, value]) => value > 0));
+  if (!drawn.length) return null;
+  const totals = drawn.map((row) => sum(row.parts.map(([, value]) => value)));
+  const most = Math.max(...totals);
+  const number = (value) => (value < 100 && value % 1 ? value.toFixed(1) : count(value));
+  return el("div", { class: "stacks" }, drawn.map((row, at) => [
+    el("div", { class: "row" }, el("b", {}, row.name), el("span", {}, `${number(totals[at])} ${unit}`)),
+    el("div", { class: "track" }, row.parts.filter(([, value]) => value > 0).map(([what, value, color]) => {
+      const words = `${what}: ${number(value)} ${unit}`;
+      return el("i", { title: words, "aria-label": words, role: "img", style: `width:${100 * value / (share ? totals[at] : most)}%;background:${color}` });
+    })),
+  ]));
+}
+
+const partsKey = (names) => el("div", { class: "legend" }, names.map(([name, color]) => el("span", {}, swatch(color), name)));
+
+const seriesOf = (run, points, more = {}) => ({ name: DOC.runs[run].name, color: runColor(run), dash: runDash(run), points, ...more });
+
+/** What the charts are about. */
+const asked = { klass: "", iou: DOC.iou };
+
+/** Classes with objects, in the order of the player's. */
+const classesOf = () => [...new Set(DOC.runs.flatMap((run) => Object.keys(run.curves)))].sort((a, b) => DOC.classes.indexOf(a) - DOC.classes.indexOf(b));
+const iousOf = () => [...new Set(DOC.runs.flatMap((run) => Object.keys((run.result.accuracy || { sorted: { mAP: {} } }).sorted.mAP)))];
+
+/** Bins of a table by class and IoU, of one class or the sum of all. */
+function binsOf(table) {
+  if (!table) return [];
+  const chosen = Object.entries(table).filter(([klass]) => !asked.klass || klass === asked.klass);
+  const rows = chosen.map(([, ious]) => ious[asked.iou]).filter(Boolean);
+  return (rows[0] || []).map((bin, at) => ({
+    from: bin.from, to: bin.to,
+    true: sum(rows.map((row) => row[at].true)), false: sum(rows.map((row) => row[at].false || 0)), total: sum(rows.map((row) => row[at].total)),
+  }));
+}
+
+const binName = (bin) => (known(bin.to) ? `${bin.from}–${bin.to}` : `≥ ${bin.from}`);
+
+function binChart(title, what, table, value, words, label) {
+  const names = (binsOf(DOC.runs.map((run) => run.result[table]).find(Boolean))).map(binName);
+  const series = DOC.runs.map((run, at) => seriesOf(at, binsOf(run.result[table])
+    .map((bin, place) => [place, value(bin), words(bin)]).filter((point) => Number.isFinite(point[1])), { dots: true }));
+  return figure(title, what, names.length ? lines(series, { label, low: -0.2, high: names.length - 0.8, names }, { label: "", low: 0, high: 1 }) : null,
+    "These results have no such bins.");
+}
+
+function drawCharts() {
+  const charts = [];
+  const wanted = asked.klass ? [asked.klass] : classesOf();
+  for (const klass of wanted) {
+    const series = DOC.runs.map((run, at) => seriesOf(at, ((run.curves[klass] || {})[asked.iou] || []).map(([recall, precision]) => [recall, precision])));
+    charts.push(figure(`Precision and recall: ${klass}`, apWords(klass), lines(series, { label: "recall", low: 0, high: 1 }, { label: "precision", low: 0, high: 1 }), "No run has scored objects of this class."));
+  }
+  const of = asked.klass || "all classes";
+  const found = (bin) => bin.true / bin.total;
+  charts.push(
+    binChart("Recall by distance", `${of}; found share of the objects`, "precision_recall_by_range", found, (bin) => `${bin.true} of ${bin.total}`, "m from the ego"),
+    binChart("Precision by distance", `${of}; true share of the detections`, "precision_recall_by_range", (bin) => bin.true / (bin.true + bin.false), (bin) => `${bin.true} of ${bin.true + bin.false}`, "m from the ego"),
+    binChart("Recall by own points", `${of}; few points: far or hidden from the ego`, "recall_by_points", found, (bin) => `${bin.true} of ${bin.total}`, "points of the ego on the object"),
+    ageChart(of), countsChart(of), hitMaps(),
+  );
+  byId("grid").replaceChildren(...charts);
+  drawMaps();
+}
+
+function apWords(klass) {
+  const ap = DOC.runs.slice(0, 4).map((run) => {
+    const table = run.result.accuracy && run.result.accuracy.sorted.AP[klass];
+    return `${run.name} ${fixed(table && table[asked.iou])}`;
+  });
+  return `AP at IoU ${asked.iou}: ${ap.join(", ")}`;
+}
+
+/** Sweeps of the player's scene, judged, of a run of the page. */
+function sweepsOf(run) {
+  if (!DOC.scenes.length) return [];
+  const of = scene();
+  const at = of.runs.findIndex((one) => one.run === run);
+  const iou = Math.max(0, of.ious.indexOf(asked.iou));
+  if (at < 0) return [];
+  return timeline().map((seq) => [seq, judged(of, at, seq, iou)]).filter(([, sweep]) => sweep && sweep.known);
+}
+
+const ofClass = (one) => !asked.klass || one.klass === asked.klass;
+
+/** Recall of what the ego hardly sees, by the age of the oldest data that were fused. */
+function ageChart(of) {
+  const series = DOC.runs.map((run, at) => {
+    const bins = new Map();
+    for (const [, sweep] of run.alone ? [] : sweepsOf(at)) {
+      const ages = sweep.used.map(([, , age]) => age / 10);
+      if (!ages.length) continue;
+      const bin = Math.floor(Math.max(...ages) / 50) * 50 + 25;
+      const counts = bins.get(bin) || [0, 0];
+      for (const object of sweep.objects) {
+        if (!object.counts || !ofClass(object) || object.hidden === false) continue;
+        counts[0] += object.foundBy ? 1 : 0;
+        counts[1] += 1;
+      }
+      bins.set(bin, counts);
+    }
+    const points = [...bins].filter(([, [, total]]) => total >= 10).sort(([a], [b]) => a - b);
+    return seriesOf(at, points.map(([bin, [found, total]]) => [bin, found / total, `${found} of ${total}`]), { dots: true });
+  });
+  return figure("Recall by age", `${of}; objects that the ego hardly sees, by the oldest data fused, in this scene`,
+    DOC.runs.every((run) => run.result.mode === "offline") ? null : lines(series, { label: "age, ms" }, { label: "", low: 0, high: 1 }),
+    "Nothing is late: these runs are offline, or fuse nothing, or have too few objects.");
+}
+
+/** True, false and missed of each run, as the table counts them. */
+function countsChart(of) {
+  const rows = DOC.runs.map((run) => {
+    const tables = Object.entries((run.result.accuracy || { sorted: { counts: {} } }).sorted.counts).filter(([klass]) => !asked.klass || klass === asked.klass);
+    const all = tables.map(([, ious]) => ious[asked.iou]).filter(Boolean);
+    const hits = sum(all.map((counts) => counts.true)), total = sum(all.map((counts) => counts.total));
+    return { name: run.name, parts: [["found", hits, "var(--run0)"], ["missed", total - hits, "var(--line)"], ["false detections", sum(all.map((counts) => counts.false)), "var(--wrong)"]] };
+  });
+  const picture = stacks(rows, "", false);
+  return figure("Found, missed, false", `${of}; counts at IoU ${asked.iou}, of all scores`,
+    picture && el("div", {}, picture, partsKey([["found", "var(--run0)"], ["missed", "var(--line)"], ["false", "var(--wrong)"]])), "No run was scored.");
+}
+
+// --- The map of hits and misses -----------------------------------------------------------------------------------
+
+let maps = [];
+
+function hitMaps() {
+  if (!DOC.scenes.length) return figure("Map of hits and misses", "", null, "No run has a recording.", true);
+  maps = scene().runs.slice(0, MOST_PANES).map((run) => {
+    const canvas = el("canvas", { role: "img", "aria-label": `Hits and misses of ${DOC.runs[run.run].name}`, style: "height:300px" });
+    return { run: run.run, canvas, box: el("div", { class: "pane", style: `--c:${runColor(run.run)}` }, el("div", { class: "head" }, el("b", {}, DOC.runs[run.run].name)), canvas) };
+  });
+  return figure("Map of hits and misses", "All recorded sweeps of this scene from above: faint where an object was found, yellow where only by cooperation, dashes where it was missed, crosses for false detections",
+    el("div", {}, el("div", { style: "display:grid;gap:8px;grid-template-columns:repeat(auto-fit,minmax(min(100%,300px),1fr))" }, maps.map((map) => map.box))), "", true);
+}
+
+function drawMaps() {
+  const all = maps.map(({ run }) => sweepsOf(run));
+  const places = all.map((sweeps) => sweeps.flatMap(([, sweep]) => [
+    ...sweep.objects.filter((one) => one.counts && ofClass(one)).map((one) => [...inMap(sweep.pose, one.box[0], one.box[1], 0), one.fate]),
+    ...sweep.boxes.filter((one) => one.fate === "false" && ofClass(one)).map((one) => [...inMap(sweep.pose, one.box[0], one.box[1], 0), "false"]),
+  ]));
+  if (!places.flat().length) return;
+  const { turn } = extent();
+  const [sin, cos] = [Math.sin(turn), Math.cos(turn)];
+  for (const place of places.flat()) [place[0], place[1]] = [cos * place[0] - sin * place[1], sin * place[0] + cos * place[1]];
+  const xs = places.flat().map(([x]) => x), ys = places.flat().map(([, y]) => y);
+  const [left, right, low, high] = [quantile(xs, 0.01) - 5, quantile(xs, 0.99) + 5, quantile(ys, 0.01) - 5, quantile(ys, 0.99) + 5];
+  maps.forEach(({ canvas }, at) => {
+    const { width, height } = canvas.getBoundingClientRect();
+    if (!width) return;
+    const ratio = Math.min(2, devicePixelRatio || 1);
+    canvas.width = width * ratio;
+    canvas.height = height * ratio;
+    const context = canvas.getContext("2d");
+    context.setTransform(ratio, 0, 0, ratio, 0, 0);
+    context.fillStyle = paint.view;
+    context.fillRect(0, 0, width, height);
+    const scale = Math.min(width / (right - left), height / (high - low));
+    const px = (x) => width / 2 + (x - (left + right) / 2) * scale, py = (y) => height / 2 - (y - (low + high) / 2) * scale;
+    const order = ["hit", "added", "missed", "false"];
+    for (const [x, y, , fate] of [...places[at]].sort((a, b) => order.indexOf(a[3]) - order.indexOf(b[3]))) {
+      const [cx, cy] = [px(x), py(y)];
+      context.beginPath();
+      if (fate === "false") {
+        context.moveTo(cx - 3, cy - 3); context.lineTo(cx + 3, cy + 3); context.moveTo(cx + 3, cy - 3); context.lineTo(cx - 3, cy + 3);
+        stroke(context, paint.wrong, 1.2, [], 0.8);
+      } else if (fate === "missed") {
+        context.moveTo(cx - 3.5, cy); context.lineTo(cx + 3.5, cy);
+        stroke(context, paint.wrong, 2, [], 0.75);
+      } else {
+        context.arc(cx, cy, 1.7, 0, 7);
+        context.globalAlpha = fate === "added" ? 0.75 : 0.22;
+        context.fillStyle = fate === "added" ? paint.added : paint.ink;
+        context.fill();
+        context.globalAlpha = 1;
+      }
+    }
+    context.beginPath();
+    context.moveTo(12, height - 12); context.lineTo(12 + 20 * scale, height - 12);
+    stroke(context, paint.ink, 2);
+    label(context, "20 m", 12, height - 18, paint.ink, "left", 400);
+  });
+}
+
+// --- Messages and time --------------------------------------------------------------------------------------------
+
+const FATE_COLORS = {
+  used: "var(--run0)", skipped: "var(--run4)", over_limit: "var(--run5)", distrusted: "var(--run3)", stale: "var(--run1)",
+  superseded: "var(--truth)", lost: "var(--wrong)", rejected: "var(--ink)", in_flight: "var(--line)", unaccounted: "var(--muted)",
+};
+
+function channelsOf(run) {
+  return Object.entries(run.result.links).flatMap(([link, kinds]) => Object.entries(kinds).map(([kind, books]) => ({ link, kind, books })))
+    .filter(({ kind }) => kind !== "agent_state");
+}
+
+function fateFigure() {
+  const order = [...FATES, "unaccounted"];
+  const rows = DOC.runs.flatMap((run) => {
+    const channels = channelsOf(run).filter(({ books }) => known(books.used));
+    const total = (fate) => sum(channels.map(({ books }) => Math.max(0, books[fate] || 0)));
+    return channels.length ? [{ name: run.name, parts: order.map((fate) => [FATE_WORDS[fate] || fate, total(fate), FATE_COLORS[fate]]) }] : [];
+  });
+  const seen = order.filter((fate) => rows.some((row) => row.parts[order.indexOf(fate)][1] > 0));
+  const picture = stacks(rows, "messages", true);
+  return figure("What became of every message", "All messages to egos, states of agents aside", picture && el("div", {}, picture, partsKey(seen.map((fate) => [FATE_WORDS[fate] || fate, FATE_COLORS[fate]]))),
+    "No message for fusion crossed a link in these runs.", true);
+}
+
+function bytesFigure() {
+  const rows = DOC.runs.map((run) => ({
+    name: run.name,
+    parts: channelsOf(run).map(({ link, kind, books }, at) => [`${link}, ${kind}`, books.bytes / 1000 / Math.max(1, run.result.frames.total), `var(--agent${at % 6})`]),
+  }));
+  return figure("KB for each sweep of the ego", "By channel, in the order of the table below; 1 KB is 1,000 bytes", stacks(rows, "KB", false), "Nothing was sent for fusion.");
+}
+
+function channelTable() {
+  const rows = DOC.runs.flatMap((run) => channelsOf(run).map(({ link, kind, books }) => [run.name, link, kind, count(books.sent), count(books.used), count(books.lost),
+    count(known(books.used) ? books.sent - books.used - books.lost : null), count(books.bytes / 1000)]));
+  if (!rows.length) return null;
+  return el("figure", { class: "span" }, el("figcaption", {}, "Channels"), el("div", { class: "wide" }, table(["run", "channel", "kind", "sent", "used", "lost", "not used", "KB"], rows.slice(0, 60))));
+}
+
+function cdf(title, what, pick, none) {
+  const series = DOC.runs.map((run, at) => seriesOf(at, pick(run).map((value, percent) => [value, percent / 100])));
+  return figure(title, what, lines(series, { label: "ms", from: 0 }, { label: "share", low: 0, high: 1 }), none);
+}
+
+/** Whether stages took time in a run. */
+const hasLatency = (run) => run.result.mode !== "offline" && (run.result.mode === "realtime" || run.result.compute);
+
+function stageFigure() {
+  const stages = [...new Set(DOC.runs.flatMap((run) => Object.keys(run.timing.joining)))];
+  const rows = DOC.runs.filter(hasLatency).map((run) => ({
+    name: run.name,
+    parts: stages.flatMap((stage, at) => {
+      const p50 = (of) => ((run.timing[of] || {})[stage] || {}).p50 || 0;
+      const color = `var(--agent${at % 6})`;
+      return [[`${stage}: waited for partners`, p50("joining"), `color-mix(in srgb, ${color} 35%, var(--card))`], [`${stage}: waited for the stage`, p50("waiting"), `color-mix(in srgb, ${color} 65%, var(--card))`], [`${stage}: computed`, p50("latency"), color]];
+    }),
+  }));
+  const picture = stacks(rows, "ms", false);
+  return figure("Where the time goes", "Medians on the way of the ego's boxes; pale: waiting for partners, half: waiting for a busy stage, full: computing",
+    picture && el("div", {}, picture, partsKey(stages.map((stage, at) => [stage, `var(--agent${at % 6})`]))), "Stages take no time in these runs: they are offline, or virtual without --compute.", true);
+}
+
+function overTime() {
+  const series = (pick) => DOC.runs.map((run, at) => seriesOf(at, sweepsOf(at).map(([, sweep]) => [sweep.t / 1000, pick(sweep)]).filter(([, value]) => known(value))));
+  const oldest = (sweep) => (sweep.used.length ? Math.max(...sweep.used.map(([, , age]) => age / 10)) : null);
+  const share = (sweep) => {
+    const { hit, added, missed } = sweep.counts;
+    return hit + added + missed ? (hit + added) / (hit + added + missed) : null;
+  };
+  return [
+    figure("Age over time", "The oldest data fused for each sweep, in this scene; a gap: nothing was fused", gapped(series(oldest), { label: "s" }, { label: "ms", from: 0 }), "Nothing was fused, or no run has a recording."),
+    figure("Messages fused over time", "For each sweep, in this scene", lines(series((sweep) => sweep.used.length), { label: "s" }, { label: "", low: 0 }), "No run has a recording."),
+    figure("Found share over time", "All classes, for each sweep, in this scene", lines(series(share), { label: "s" }, { label: "", low: 0, high: 1 }), "No run has a recording."),
+  ];
+}
+
+/** Lines that end where sweeps without a value are between. */
+function gapped(series, x, y) {
+  const steps = series.flatMap((one) => one.points.slice(1).map((point, at) => point[0] - one.points[at][0]));
+  const usual = quantile(steps, 0.5) || Infinity;
+  const parts = series.flatMap((one) => {
+    const pieces = [];
+    one.points.forEach((point, at) => {
+      if (at === 0 || point[0] - one.points[at - 1][0] > 1.6 * usual) pieces.push([]);
+      pieces.at(-1).push(point);
+    });
+    return pieces.map((points) => ({ ...one, points, dots: points.length === 1 }));
+  });
+  return lines(parts, x, y);
+}
+
+function drawFlows() {
+  byId("flows").replaceChildren(...[
+    fateFigure(), bytesFigure(), ...overTime(),
+    cdf("Ages of what was fused", "Share of all uses that are not older", (run) => run.ages, "Nothing was fused."),
+    cdf("From sweep to boxes", "Share of all sweeps that are not slower", (run) => (hasLatency(run) ? run.quantiles.end_to_end || [] : []), "Stages take no time in these runs."),
+    stageFigure(), channelTable(),
+  ].filter(Boolean));
+}

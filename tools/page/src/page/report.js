@@ -1,0 +1,226 @@
+"use strict";
+// The page: verdict, tables, settings, and the parts in their order.
+
+/** A table of texts; the first column names the rows. */
+function table(heads, rows, kind) {
+  return el("table", { class: kind }, el("thead", {}, el("tr", {}, heads.map((head) => el("th", { scope: "col" }, head)))),
+    el("tbody", {}, rows.map((row) => el("tr", {}, row.map((cell) => el("td", {}, cell))))));
+}
+
+const accuracyOf = (run) => (run.result.accuracy || {}).sorted;
+const intervalsOf = (run) => ((run.result.intervals || {}).accuracy || {}).sorted;
+
+/** mAP; where classes have no objects, the mean of the others. */
+function meanOf(run, iou) {
+  const accuracy = accuracyOf(run);
+  if (!accuracy) return null;
+  if (known(accuracy.mAP[iou])) return accuracy.mAP[iou];
+  const values = Object.values(accuracy.AP).map((ap) => ap[iou]).filter(known);
+  return values.length ? sum(values) / values.length : null;
+}
+
+function verdict() {
+  const names = DOC.runs.map((run) => run.name);
+  byId("title").textContent = names.length > 4 ? `${names.slice(0, 3).join(", ")} and ${names.length - 3} more` : names.join(" · ");
+  const [first] = DOC.runs;
+  const shared = (pick) => { const all = [...new Set(DOC.runs.map(pick))]; return all.length === 1 ? all[0] : null; };
+  const logs = shared((run) => run.result.logs.join(", "));
+  const facts = [shared((run) => run.result.mode), shared((run) => run.result.link) && shared((run) => run.result.mode) !== "offline" && `link ${first.result.link}`,
+    logs && (first.result.logs.length > 3 ? `${first.result.logs.length} logs` : `log ${logs}`), shared((run) => run.result.ego) && `ego ${first.result.ego}`,
+    shared((run) => run.result.model) && `model ${first.result.model}`, shared((run) => run.result.protocol) && `protocol ${first.result.protocol}`,
+    `${plural(first.result.frames.key, "scored sweep")}`];
+  byId("what").textContent = facts.filter(Boolean).join(" · ");
+  byId("scoreboard").replaceChildren(...DOC.runs.slice(0, 12).map((run, at) => {
+    const interval = intervalsOf(run) && intervalsOf(run).mAP[DOC.iou];
+    const classes = accuracyOf(run) ? Object.entries(accuracyOf(run).AP).filter(([, ap]) => known(ap[DOC.iou])) : [];
+    return el("div", { class: "score", style: `--c:${runColor(at)}` }, el("span", { class: "name" }, run.name), el("b", {}, fixed(meanOf(run, DOC.iou))),
+      el("small", {}, `mAP at IoU ${DOC.iou}${interval ? `, 95 %: ${fixed(interval[0])}–${fixed(interval[1])}` : ""}`),
+      el("small", {}, classes.map(([klass, ap]) => `${klass} ${fixed(ap[DOC.iou], 2)}`).join(" · ")));
+  }));
+  byId("sentences").replaceChildren(...DOC.verdict.map((sentence) => el("li", {}, sentence)));
+  if (DOC.left_out.length) {
+    byId("omitted").hidden = false;
+    byId("omitted").querySelector("summary").textContent = `Not on this page: ${plural(DOC.left_out.length, "thing")}`;
+    byId("omitted").querySelector("ul").replaceChildren(...DOC.left_out.map((line) => el("li", {}, line)));
+  }
+}
+
+/** The table of scores: rows by kind, a column for each run, the best of a row in bold. */
+function scores() {
+  const rows = [];
+  const add = (name, pick, places = 3, better = 1, small = () => null, written = fixed) => {
+    const values = DOC.runs.map(pick);
+    if (!values.some(known)) return;
+    const numbers = values.filter(known);
+    const best = DOC.runs.length > 1 && better && numbers.length > 1 ? better * Math.max(...numbers.map((value) => better * value)) : null;
+    rows.push(el("tr", {}, el("td", {}, name), DOC.runs.map((run, at) => el("td", { class: known(best) && fixed(values[at], places) === fixed(best, places) ? "best" : null },
+      places === 0 ? count(values[at]) : written(values[at], places), small(run) ? el("small", {}, small(run)) : null))));
+  };
+  const group = (name) => rows.push(el("tr", { class: "group" }, el("td", { colspan: DOC.runs.length + 1 }, name)));
+  const bounds = (pair) => pair && `${fixed(pair[0])}–${fixed(pair[1])}`;
+  const alone = DOC.runs.find((run) => run.alone);
+  for (const iou of iousOf()) {
+    group(`Average precision at IoU ${iou}`);
+    add("mean over classes", (run) => meanOf(run, iou), 3, 1, (run) => bounds(intervalsOf(run) && intervalsOf(run).mAP[iou]));
+    for (const klass of classesOf()) {
+      add(klass, (run) => accuracyOf(run) && (accuracyOf(run).AP[klass] || {})[iou], 3, 1, (run) => bounds(intervalsOf(run) && (intervalsOf(run).AP[klass] || {})[iou]));
+    }
+    add("objects that the ego itself sees", (run) => run.result.accuracy_seen && run.result.accuracy_seen.sorted.mAP[iou]);
+    if (alone && DOC.runs.length > 1) add("margin over the ego alone", (run) => (run === alone || !known(meanOf(run, iou)) || !known(meanOf(alone, iou)) ? null : meanOf(run, iou) - meanOf(alone, iou)), 3, 1, () => null, signed);
+  }
+  group("Cost and time");
+  const field = (name) => (run) => (run.fields[name] === "" || !known(run.fields[name]) ? null : Number(run.fields[name]));
+  add("KB for each sweep of the ego", field("KB_per_frame"), 1, -1);
+  add(DOC.runs.every((run) => run.result.mode === "offline") ? "stamps apart, median, ms" : "age of fused data, median, ms", field("age_ms"), 1, -1);
+  add("from sweep to boxes, median, ms", field("end_to_end_ms"), 1, -1);
+  group("Sweeps");
+  add("scored", (run) => run.result.frames.key, 0, 0);
+  add("scored, without boxes", (run) => run.result.frames.key_skipped, 0, 0);
+  byId("table").replaceChildren(el("table", {}, el("thead", {}, el("tr", {}, el("th", {}, ""), DOC.runs.map((run, at) => el("th", { scope: "col" }, swatch(runColor(at)), run.name)))), el("tbody", {}, rows)));
+}
+
+/** Objects that a run with cooperation finds more often than the ego alone, in the scene of the player. */
+function addedObjects() {
+  const section = byId("added");
+  const of = DOC.scenes.length ? scene() : null;
+  const alone = of ? of.runs.findIndex((run) => DOC.runs[run.run].alone) : -1;
+  const fused = of ? of.runs.map((_, at) => at).filter((at) => !DOC.runs[of.runs[at].run].alone) : [];
+  section.hidden = alone < 0 || !fused.length;
+  if (section.hidden) return;
+  const parts = fused.slice(0, 3).map((run) => {
+    const tracks = new Map();
+    for (const seq of timeline()) {
+      const [own, both] = [judged(of, alone, seq), judged(of, run, seq)];
+      if (!own || !both || !own.known || !both.known) continue;
+      const before = new Map(own.objects.map((object) => [object.track, object]));
+      for (const object of both.objects) {
+        const other = before.get(object.track);
+        if (!object.counts || object.track < 0 || !other) continue;
+        const track = tracks.get(object.track) || { klass: object.klass, sweeps: 0, own: 0, both: 0, points: [], seq: null, lost: null };
+        track.sweeps += 1;
+        track.own += other.foundBy ? 1 : 0;
+        track.both += object.foundBy ? 1 : 0;
+        if (known(object.own)) track.points.push(object.own);
+        if (object.foundBy && !other.foundBy && track.seq === null) track.seq = seq;
+        if (!object.foundBy && other.foundBy && track.lost === null) track.lost = seq;
+        tracks.set(object.track, track);
+      }
+    }
+    const all = [...tracks].map(([track, facts]) => ({ track, ...facts, gain: facts.both - facts.own }));
+    const rows = (list, at) => list.slice(0, 8).map((one) => [`${one.klass} ${one.track}`, count(one.sweeps), count(one.own), count(one.both), one.points.length ? count(quantile(one.points, 0.5)) : NONE,
+      el("button", { type: "button", onclick: () => show(at(one), { kind: "object", run, seq: at(one), index: 0, track: one.track }) }, "show")]);
+    const gained = all.filter((one) => one.gain > 0 && one.seq !== null).sort((a, b) => b.gain - a.gain);
+    const harmed = all.filter((one) => one.gain < 0 && one.lost !== null).sort((a, b) => a.gain - b.gain);
+    const name = DOC.runs[of.runs[run].run].name;
+    const heads = ["object", "sweeps", "found by the ego alone", `found by ${name}`, "own points, median", ""];
+    return el("div", { style: "margin-bottom:16px" },
+      el("h3", {}, swatch(runColor(of.runs[run].run)), name),
+      el("p", { class: "muted" }, `${plural(gained.length, "object")} found in more sweeps than by the ego alone, ${plural(harmed.length, "object")} in fewer.`),
+      gained.length ? el("div", { class: "wide" }, table(heads, rows(gained, (one) => one.seq))) : null,
+      harmed.length ? el("details", {}, el("summary", {}, "Found in fewer sweeps"), el("div", { class: "wide" }, table(heads, rows(harmed, (one) => one.lost)))) : null);
+  });
+  section.replaceChildren(el("h2", {}, "What cooperation added"), el("p", { class: "muted" }, `All recorded sweeps of ${of.log}, ego ${of.ego}, at IoU ${of.ious[state.iou]}, object by object.`), ...parts);
+}
+
+// --- What was run -------------------------------------------------------------------------------------------------
+
+const SETTINGS = ["graph", "graph_hash", "mode", "coop", "link", "compute", "seed", "project", "pose_source", "precomputed", "model", "isa", "set", "programs", "rate", "protocol", "ended_by"];
+
+function settings() {
+  const value = (run, name) => String(run.result[name] ?? "");
+  const rows = SETTINGS.filter((name) => DOC.runs.some((run) => value(run, name))).map((name) => [name.replace("_", " "), ...DOC.runs.map((run) => value(run, name) || NONE)]);
+  rows.push(["logs", ...DOC.runs.map((run) => (run.result.logs.length > 5 ? `${run.result.logs.length} logs` : run.result.logs.join(", ") || NONE))],
+    ["egos", ...DOC.runs.map((run) => run.result.egos.join(", ") || NONE)], ["agents", ...DOC.runs.map((run) => run.result.agents.join(", ") || NONE)]);
+  const same = rows.filter((row) => row.length > 2 && new Set(row.slice(1)).size === 1);
+  const differ = rows.filter((row) => !same.includes(row));
+  byId("settings").replaceChildren(
+    DOC.differences.length ? el("ul", {}, DOC.differences.map((line) => el("li", {}, line))) : "",
+    table(["setting", ...DOC.runs.map((run) => run.name)], differ, "text"),
+    same.length ? el("p", { class: "muted", style: "margin-top:10px" }, "The same in all: " + same.map((row) => `${row[0]} ${row[1]}`).join("; ") + ".") : "",
+  );
+  const notes = DOC.runs.filter((run) => run.result.notes.length);
+  byId("notes").replaceChildren(...notes.map((run) => el("div", {}, el("h3", {}, `Notes of ${run.name}`), el("ul", {}, run.result.notes.map((note) => el("li", {}, note))))));
+  byId("graphs").replaceChildren(...DOC.runs.slice(0, 12).filter((run) => Object.keys(run.graph).length).map((run) =>
+    el("details", { class: "graph" }, el("summary", {}, `Graph of ${run.name}: ${plural(Object.keys(run.graph).length, "stage")}`), el("div", { class: "wide" }, graph(run)))));
+  byId("foot").textContent = `Made by ${DOC.program}. Words are explained in docs/glossary.md and docs/reference/results.md of realo.`;
+}
+
+/** The stages of a run from left to right, each after all that it takes from. */
+function graph(run) {
+  const stages = Object.keys(run.graph);
+  const sources = (stage) => Object.entries(run.graph[stage]).filter(([key]) => key.startsWith("inputs."))
+    .flatMap(([, from]) => from.split(/[\s,]+/)).map((from) => stages.filter((other) => from === other || from.startsWith(other + "/") || from.startsWith(other + ".")).sort((a, b) => b.length - a.length)[0]).filter((from) => from && from !== stage);
+  const level = new Map();
+  const place = (stage, above) => {
+    if (level.has(stage)) return level.get(stage);
+    if (above.includes(stage)) return 0;
+    const at = Math.max(-1, ...sources(stage).map((from) => place(from, [...above, stage]))) + 1;
+    level.set(stage, at);
+    return at;
+  };
+  stages.forEach((stage) => place(stage, []));
+  const columns = [];
+  stages.forEach((stage) => (columns[level.get(stage)] ||= []).push(stage));
+  const [wide, tall] = [196, 52];
+  const width = columns.length * (wide + 44), height = Math.max(...columns.map((column) => column.length)) * (tall + 14) + 12;
+  const at = new Map();
+  columns.forEach((column, x) => column.forEach((stage, y) => at.set(stage, [x * (wide + 44) + 2, (height - column.length * (tall + 14)) / 2 + y * (tall + 14) + 6])));
+  const picture = svg("svg", { viewBox: `0 0 ${width} ${height}`, width, height, style: "max-width:none", role: "img", "aria-label": `Graph of ${run.name}` });
+  for (const stage of stages) {
+    for (const from of new Set(sources(stage))) {
+      const [[x0, y0], [x1, y1]] = [at.get(from), at.get(stage)];
+      const back = x1 <= x0;
+      picture.append(svg("path", { d: `M${x0 + wide} ${y0 + tall / 2}C${x0 + wide + 30} ${y0 + tall / 2} ${x1 - 30} ${y1 + tall / 2} ${x1} ${y1 + tall / 2}`, fill: "none", stroke: "var(--muted)", "stroke-width": 1.2, "stroke-dasharray": back ? "4 3" : "", opacity: 0.7 }));
+    }
+  }
+  for (const stage of stages) {
+    const [x, y] = at.get(stage);
+    const set = Object.entries(run.graph[stage]).filter(([key]) => key.startsWith("settings.")).map(([key, value]) => `${key.slice(9)}=${value}`);
+    picture.append(svg("g", {}, svg("title", {}, [stage, ...set].join("\n")),
+      svg("rect", { x, y, width: wide, height: tall, rx: 6, fill: "var(--card)", stroke: "var(--muted)" }),
+      svg("text", { x: x + 10, y: y + 21, class: "ink", "font-weight": 600 }, stage.length > 26 ? "…" + stage.slice(-25) : stage),
+      svg("text", { x: x + 10, y: y + 38 }, String(run.graph[stage].runs || "").slice(0, 28))));
+  }
+  return picture;
+}
+
+function charts() {
+  const again = (change) => (value) => { change(value); drawCharts(); drawFlows(); };
+  byId("choices").replaceChildren(
+    choice("Class", [["", "all"], ...classesOf().map((klass) => [klass, klass])], asked.klass, again((klass) => { asked.klass = klass; })),
+    choice("IoU", iousOf().map((iou) => [iou, iou]), asked.iou, again((iou) => { asked.iou = iou; })));
+  byId("key").replaceChildren(...DOC.runs.map((run, at) => el("span", {}, svg("svg", { width: 26, height: 10, "aria-hidden": "true" },
+    svg("path", { d: "M1 5H25", stroke: runColor(at), "stroke-width": 2.4, "stroke-dasharray": runDash(at) })), run.name)));
+  drawCharts();
+  drawFlows();
+}
+
+function navigation() {
+  const parts = [["player", "Player"], ["added", "Added"], ["scores", "Scores"], ["charts", "Where and when"], ["messages", "Messages"], ["setup", "Settings"]];
+  byId("nav").replaceChildren(...parts.filter(([id]) => !byId(id).hidden).map(([id, name]) =>
+    el("a", { href: "#" + id, onclick: (event) => { event.preventDefault(); byId(id).scrollIntoView(); } }, name)));
+  document.querySelector(".brand").addEventListener("click", (event) => { event.preventDefault(); scrollTo(0, 0); });
+}
+
+function theme() {
+  const dark = matchMedia("(prefers-color-scheme: dark)");
+  let chosen = false;
+  setTheme(dark.matches ? "dark" : "light");
+  dark.addEventListener("change", () => { if (!chosen) setTheme(dark.matches ? "dark" : "light"); });
+  byId("theme").addEventListener("click", () => {
+    chosen = true;
+    setTheme(document.documentElement.dataset.theme === "dark" ? "light" : "dark");
+  });
+}
+
+theme();
+verdict();
+scores();
+startPlayer();
+addedObjects();
+charts();
+settings();
+navigation();
+repainted.push(drawMaps);
+sceneOpened = () => { addedObjects(); drawCharts(); drawFlows(); navigation(); };
+addEventListener("resize", drawMaps);

@@ -1,0 +1,137 @@
+//! What the recording of one run over one log and ego holds.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use realo_logs::MAX_GAP;
+use realo_recorder::{FATES, boxes_of, reports_of, states_of, truth_of};
+use realo_schemas::geometry::PoseTrack;
+use realo_schemas::report::Fated;
+use realo_schemas::{Boxes, GroundTruth, Header, Name, Nanos};
+use serde::Deserialize;
+
+use crate::PageError;
+
+/// What was recorded of a sweep of the ego.
+#[derive(Debug, Default)]
+pub struct Sweep {
+    pub truth: Option<(Header, GroundTruth)>,
+    pub boxes: Option<(Header, Boxes)>,
+}
+
+/// A recording, thinned to a number of sweeps.
+pub struct Recorded {
+    /// By number.
+    pub sweeps: BTreeMap<u64, Sweep>,
+    /// Of how many sweeps in a row one is kept.
+    pub stride: u64,
+    /// How many there are with those that are not kept.
+    pub total: usize,
+    /// What was said of each message that crossed a link.
+    pub fates: Vec<Fated>,
+    /// Where each agent was in the map, as the graph knew it.
+    pub poses: BTreeMap<Name, PoseTrack>,
+}
+
+/// Reports of messages that are kept; later ones are not on the page.
+const MOST_FATES: usize = 200_000;
+
+impl Recorded {
+    /// Reads a recording and keeps so many sweeps at most: all, or every 2nd, 4th, 8th …
+    pub fn read(recording: &Path, ego: &str, most: usize) -> Result<Self, PageError> {
+        let mut recorded = Recorded {
+            sweeps: BTreeMap::new(),
+            stride: 1,
+            total: 0,
+            fates: Vec::new(),
+            poses: BTreeMap::new(),
+        };
+        let mut numbers = std::collections::BTreeSet::new();
+        for message in truth_of(recording)? {
+            let part = message?.into_parts::<GroundTruth>()?;
+            numbers.insert(part.0.seq);
+            if let Some(sweep) = recorded.kept(part.0.seq, most) {
+                sweep.truth = Some(part);
+            }
+        }
+        for message in boxes_of(recording)? {
+            let part = message?.into_parts::<Boxes>()?;
+            numbers.insert(part.0.seq);
+            if let Some(sweep) = recorded.kept(part.0.seq, most) {
+                sweep.boxes = Some(part);
+            }
+        }
+        recorded.total = numbers.len();
+        recorded.read_fates(recording, ego)?;
+        recorded.read_poses(recording)?;
+        Ok(recorded)
+    }
+
+    /// Takes the ego's outline, which a recording leaves out: boxes in it are the ego itself, and not false.
+    pub fn take_footprint(&mut self, footprint: Option<[f64; 4]>) {
+        let truths = self.sweeps.values_mut().filter_map(|sweep| sweep.truth.as_mut());
+        truths.for_each(|(_, truth)| truth.ego_footprint = footprint);
+    }
+
+    fn kept(&mut self, seq: u64, most: usize) -> Option<&mut Sweep> {
+        if !seq.is_multiple_of(self.stride) {
+            return None;
+        }
+        self.sweeps.entry(seq).or_default();
+        while self.sweeps.len() > most.max(1) {
+            self.stride *= 2;
+            let stride = self.stride;
+            self.sweeps.retain(|seq, _| seq.is_multiple_of(stride));
+        }
+        self.sweeps.get_mut(&seq)
+    }
+
+    fn read_fates(&mut self, recording: &Path, ego: &str) -> Result<(), PageError> {
+        for report in reports_of(recording)? {
+            let report = report?;
+            if report["topic"] != FATES {
+                continue;
+            }
+            // A document of another form says nothing here.
+            let fates = Vec::<Fated>::deserialize(&report["report"]).unwrap_or_default();
+            let of_ego = fates.into_iter().filter(|fated| fated.message.to == ego);
+            self.fates
+                .extend(of_ego.take(MOST_FATES.saturating_sub(self.fates.len())));
+        }
+        Ok(())
+    }
+
+    fn read_poses(&mut self, recording: &Path) -> Result<(), PageError> {
+        for state in states_of(recording)? {
+            let (agent, stamp, state) = state?;
+            let track = self
+                .poses
+                .entry(agent)
+                .or_insert_with(|| PoseTrack::new(Nanos::MAX, MAX_GAP));
+            track.insert(stamp, state.map_from_body);
+        }
+        Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_long_recording_keeps_every_second_fourth_eighth_sweep() {
+        let mut recorded = Recorded {
+            sweeps: BTreeMap::new(),
+            stride: 1,
+            total: 0,
+            fates: Vec::new(),
+            poses: BTreeMap::new(),
+        };
+        (0..1000).for_each(|seq| {
+            recorded.kept(seq, 100);
+        });
+        assert_eq!(recorded.stride, 16);
+        assert!(recorded.sweeps.keys().copied().eq((0..1000).step_by(16)));
+        assert!(recorded.kept(1, 100).is_none() && recorded.kept(16, 100).is_some());
+    }
+}

@@ -1,0 +1,500 @@
+//! The sweeps of one log and ego in all runs, on one clock and in one frame.
+//!
+//! Lengths are whole centimetres, angles thousandths of a radian, times whole milliseconds from the log's first sweep,
+//! scores thousandths. Boxes are in the ego's frame at their sweep; poses are in the map, from a place near the first ego.
+
+use std::collections::BTreeMap;
+use std::path::Path;
+
+use nalgebra::{Isometry3, Vector3};
+use realo_logs::{AgentKind, Log};
+use realo_render::{RECORDING, single_runs};
+use realo_results::{Run, read_run};
+use realo_schemas::geometry::yaw_of;
+use realo_schemas::report::Fate;
+use realo_schemas::{Box3, Kind, Nanos};
+use realo_scoring::Protocol;
+use serde::Serialize;
+
+use crate::judged::{Judged, labelled};
+use crate::recorded::{Recorded, Sweep};
+use crate::{PageError, Request};
+
+const MILLI: Nanos = 1_000_000;
+/// Messages of one recording that are on the page, at most; those that were not used go first.
+const MOST_MESSAGES: usize = 12_000;
+
+/// Names of classes, each once; rows hold their places.
+#[derive(Debug, Default)]
+pub struct Names {
+    pub classes: Vec<String>,
+}
+
+impl Names {
+    fn class(&mut self, name: &str) -> i32 {
+        place(&mut self.classes, name) as i32
+    }
+}
+
+fn place(names: &mut Vec<String>, name: &str) -> usize {
+    names.iter().position(|known| known == name).unwrap_or_else(|| {
+        names.push(name.into());
+        names.len() - 1
+    })
+}
+
+/// An object: `[class, x, y, z, length, width, height, yaw, track or -1, counts: 0 or 1]` and the points of each agent of
+/// the scene on it, nothing where the log does not say.
+pub type ObjectRow = (Vec<i32>, Vec<u32>);
+
+/// `[x, y, z, yaw]` of a body in the map.
+pub type PoseRow = [i64; 4];
+
+/// All runs over one log with one ego.
+#[derive(Debug, Serialize)]
+pub struct ScenePart {
+    pub log: String,
+    pub ego: String,
+    /// Stamp of the time 0, ns since the epoch, as text: it has more digits than a number of JavaScript.
+    pub start: String,
+    pub agents: Vec<AgentPart>,
+    /// Where objects count: x min, x max, y min, y max, in the ego's frame.
+    pub region: [i32; 4],
+    pub protocol: String,
+    pub ious: Vec<String>,
+    /// Smallest points of the ego on an object that it counts as having seen.
+    pub seen_points: u64,
+    /// By number of the sweep.
+    pub frames: BTreeMap<u64, FramePart>,
+    pub runs: Vec<SceneRun>,
+    #[serde(skip)]
+    pub start_ns: Nanos,
+    #[serde(skip)]
+    pub exact: bool,
+}
+
+#[derive(Debug, Serialize)]
+pub struct AgentPart {
+    pub name: String,
+    pub roadside: bool,
+    /// x min, x max, y min, y max in its body frame.
+    pub footprint: Option<[i32; 4]>,
+}
+
+/// What a sweep has in all runs.
+#[derive(Debug, Default, Serialize)]
+pub struct FramePart {
+    pub t: i64,
+    /// Whether it is scored.
+    pub key: bool,
+    /// Of every agent, where known; the ego's is the frame of all boxes.
+    pub poses: Vec<Option<PoseRow>>,
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub objects: Vec<ObjectRow>,
+}
+
+/// What one run has of the scene.
+#[derive(Debug, Serialize)]
+pub struct SceneRun {
+    /// Its place among the runs of the page.
+    pub run: usize,
+    /// Sweeps that were recorded, with those that are not on the page.
+    pub recorded: usize,
+    pub frames: BTreeMap<u64, RunFrame>,
+    /// `[agent, kind, number, fate, time]` of messages to the ego; a message that was not used is placed by its number.
+    pub messages: Vec<[i64; 5]>,
+}
+
+#[derive(Debug, Default, Serialize)]
+pub struct RunFrame {
+    /// `[class, score, x, y, z, length, width, height, yaw, what became of it at each IoU …]`: the place of the object that
+    /// it found, or -1 false, -2 not counted, -3 not known. `None`: no boxes came.
+    pub boxes: Option<Vec<Vec<i32>>>,
+    /// Its objects, where they differ from those of the frame.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub objects: Option<Vec<ObjectRow>>,
+    /// `[agent, kind, age in 0.1 ms, number]` of each message that was fused.
+    #[serde(skip_serializing_if = "Vec::is_empty")]
+    pub used: Vec<[i64; 4]>,
+    /// The ego's pose, where it is another than that of the frame.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    pub pose: Option<PoseRow>,
+}
+
+/// The scenes of a page.
+#[derive(Default)]
+pub struct Scenes {
+    pub parts: Vec<ScenePart>,
+    /// By name of the log: where the map begins, and the time 0.
+    pub origins: BTreeMap<String, (Vector3<f64>, Nanos)>,
+    /// By name; `None`: not found.
+    pub logs: BTreeMap<String, Option<Log>>,
+}
+
+impl Scenes {
+    /// Adds the recordings of a run.
+    ///
+    /// # Errors
+    /// A folder or recording that cannot be read.
+    #[allow(clippy::too_many_arguments, reason = "a pass over a run fills them all")]
+    pub fn read(
+        &mut self,
+        number: usize,
+        name: &str,
+        folder: &Path,
+        request: &Request,
+        most_sweeps: usize,
+        names: &mut Names,
+        left_out: &mut Vec<String>,
+    ) -> Result<(), PageError> {
+        let folders = single_runs(folder)?;
+        let most = (most_sweeps / folders.len().max(1)).max(16);
+        for folder in folders {
+            let recording = folder.join(RECORDING);
+            if !recording.exists() {
+                left_out.push(format!(
+                    "{name}: {} is not there, so the player does not show this run; give the graph a node `recorder` and run it again",
+                    recording.display()
+                ));
+                continue;
+            }
+            let run = read_run(&folder)?;
+            let mut recorded = Recorded::read(&recording, &run.result.settings.ego, most)?;
+            if (recorded.total as u64) < run.result.frames.total {
+                left_out.push(format!(
+                    "{name}: {} holds {} of {} sweeps: it was cut; run it again to have all",
+                    recording.display(),
+                    recorded.total,
+                    run.result.frames.total
+                ));
+            }
+            self.add(number, &run, &mut recorded, request, names, left_out)?;
+        }
+        Ok(())
+    }
+
+    fn add(
+        &mut self,
+        number: usize,
+        run: &Run,
+        recorded: &mut Recorded,
+        request: &Request,
+        names: &mut Names,
+        left_out: &mut Vec<String>,
+    ) -> Result<(), PageError> {
+        let log = run.result.logs.first().cloned().unwrap_or_default();
+        let ego = run.result.settings.ego.clone();
+        let found = self.logs.entry(log.clone()).or_insert_with(|| open(run, request));
+        match found {
+            Some(found) => recorded.take_footprint(found.info().agent(&ego).and_then(|agent| agent.footprint)),
+            None => {
+                let line = format!(
+                    "the log `{log}` is not here: the player knows no outlines of agents, and boxes on the ego itself count as \
+                     false there; say where it is with --log"
+                );
+                if !left_out.contains(&line) {
+                    left_out.push(line);
+                }
+            }
+        }
+        let protocol = match (&run.samples.evaluation, &found) {
+            (Some(evaluation), _) => evaluation.protocol.clone(),
+            (None, Some(log)) => Protocol::load(&log.info().protocol)?,
+            (None, None) => Protocol::load("default")?,
+        };
+        // In the protocol's order, before any other name.
+        protocol.classes.iter().for_each(|class| {
+            names.class(&class.name);
+        });
+        let Some((first, pose)) = recorded.sweeps.values().find_map(begin) else {
+            return Ok(());
+        };
+        let start = found.as_ref().and_then(Log::span).map_or(first, |(start, _)| start);
+        let (origin, start) = *self
+            .origins
+            .entry(log.clone())
+            .or_insert_with(|| (pose.translation.vector.map(f64::round), start));
+        let at = self.parts.iter().position(|scene| scene.log == log && scene.ego == ego);
+        let at = at.unwrap_or_else(|| {
+            self.parts.push(ScenePart::new(&log, &ego, start, &protocol));
+            self.parts.len() - 1
+        });
+        let scene = &mut self.parts[at];
+        scene.exact &= run.result.settings.mode == "offline";
+        for agent in run.result.agents.iter().map(String::as_str) {
+            scene.agent(agent, found.as_ref());
+        }
+        let truths = recorded.sweeps.values().filter_map(|sweep| sweep.truth.as_ref());
+        for agent in truths.flat_map(|(_, truth)| &truth.agents).chain(recorded.poses.keys()) {
+            scene.agent(agent, found.as_ref());
+        }
+        let mut of_run = SceneRun {
+            run: number,
+            recorded: recorded.total,
+            frames: BTreeMap::new(),
+            messages: Vec::new(),
+        };
+        for (seq, sweep) in &recorded.sweeps {
+            scene.add_sweep(*seq, sweep, recorded, &protocol, origin, &mut of_run, names)?;
+        }
+        scene.add_fates(recorded, &mut of_run);
+        scene.runs.push(of_run);
+        Ok(())
+    }
+
+    /// Runs over one log have mostly the same objects: they are kept once.
+    pub fn share_truth(&mut self) {
+        for scene in &mut self.parts {
+            for run in &mut scene.runs {
+                for (seq, frame) in &mut run.frames {
+                    let Some(shared) = scene.frames.get_mut(seq) else {
+                        continue;
+                    };
+                    match &frame.objects {
+                        Some(objects) if shared.objects.is_empty() => {
+                            shared.objects = frame.objects.take().unwrap_or_default()
+                        }
+                        Some(objects) if *objects == shared.objects => frame.objects = None,
+                        _ => {}
+                    }
+                    if frame.pose == shared.poses.first().copied().flatten() {
+                        frame.pose = None;
+                    }
+                }
+            }
+        }
+    }
+}
+
+/// Stamp and pose of a sweep that has both.
+fn begin(sweep: &Sweep) -> Option<(Nanos, Isometry3<f64>)> {
+    let boxes = sweep.boxes.as_ref().map(|(header, _)| header);
+    let truth = sweep.truth.as_ref().map(|(header, _)| header);
+    let pose = boxes.into_iter().chain(truth).find_map(|header| header.pose.as_ref());
+    Some((
+        boxes.or(truth)?.stamp,
+        pose.map_or_else(Isometry3::identity, |pose| pose.map_from_frame),
+    ))
+}
+
+/// The log of a run, if it is there; the player does without.
+fn open(run: &Run, request: &Request) -> Option<Log> {
+    let name = run.result.logs.first().map(String::as_str).unwrap_or_default();
+    let of_name = |path: &&std::path::PathBuf| path.file_stem().is_some_and(|stem| stem == name);
+    let given = request.log.iter().filter(of_name).cloned();
+    let candidates = given.chain(run.log_candidates(&request.log_folders));
+    let ego = &run.result.settings.ego;
+    candidates
+        .filter(|path| path.exists())
+        .find_map(|path| Log::open(path).ok().filter(|log| log.info().agent(ego).is_some()))
+}
+
+fn cm(metres: f64) -> i32 {
+    // A cast saturates.
+    (metres * 100.0).round() as i32
+}
+
+fn pose_row(map_from_body: &Isometry3<f64>, origin: Vector3<f64>) -> PoseRow {
+    let place = map_from_body.translation.vector - origin;
+    let [x, y, z] = [place.x, place.y, place.z].map(|value| (value * 100.0).round() as i64);
+    [x, y, z, (yaw_of(&map_from_body.rotation) * 1000.0).round() as i64]
+}
+
+fn place_of(object: &Box3) -> [i32; 7] {
+    let [x, y, z] = object.center.map(cm);
+    let [length, width, height] = [object.length, object.width, object.height].map(cm);
+    [x, y, z, length, width, height, (object.yaw * 1000.0).round() as i32]
+}
+
+impl ScenePart {
+    fn new(log: &str, ego: &str, start: Nanos, protocol: &Protocol) -> Self {
+        let [x, y] = [protocol.region.x, protocol.region.y];
+        ScenePart {
+            log: log.into(),
+            ego: ego.into(),
+            start: start.to_string(),
+            agents: Vec::new(),
+            region: [x[0], x[1], y[0], y[1]].map(cm),
+            protocol: protocol.name.clone(),
+            ious: protocol.ious.iter().map(|iou| Protocol::iou_key(*iou)).collect(),
+            seen_points: protocol.seen_points,
+            frames: BTreeMap::new(),
+            runs: Vec::new(),
+            start_ns: start,
+            exact: true,
+        }
+    }
+
+    #[cfg(test)]
+    pub fn empty(log: &str, ego: &str) -> Self {
+        ScenePart::new(log, ego, 0, &Protocol::load("default").expect("it is shipped"))
+    }
+
+    /// The place of an agent, ego first.
+    fn agent(&mut self, name: &str, log: Option<&Log>) -> usize {
+        if self.agents.is_empty() && name != self.ego {
+            let ego = self.ego.clone();
+            self.agent(&ego, log);
+        }
+        if let Some(at) = self.agents.iter().position(|agent| agent.name == name) {
+            return at;
+        }
+        let info = log.and_then(|log| log.info().agent(name));
+        self.agents.push(AgentPart {
+            name: name.into(),
+            roadside: info.is_some_and(|info| info.kind == AgentKind::Roadside),
+            footprint: info.and_then(|info| info.footprint).map(|sides| sides.map(cm)),
+        });
+        self.agents.len() - 1
+    }
+
+    #[allow(clippy::too_many_arguments, reason = "what a row is made of")]
+    fn add_sweep(
+        &mut self,
+        seq: u64,
+        sweep: &Sweep,
+        recorded: &Recorded,
+        protocol: &Protocol,
+        origin: Vector3<f64>,
+        run: &mut SceneRun,
+        names: &mut Names,
+    ) -> Result<(), PageError> {
+        let Some((stamp, map_from_ego)) = begin(sweep) else {
+            return Ok(());
+        };
+        let judged = Judged::of(sweep.truth.as_ref(), sweep.boxes.as_ref(), protocol)?;
+        let class = |number: u8| protocol.classes[usize::from(number)].name.as_str();
+        let ego = pose_row(&map_from_ego, origin);
+        let poses: Vec<Option<PoseRow>> = (0..self.agents.len())
+            .map(|at| {
+                let track = recorded.poses.get(self.agents[at].name.as_str());
+                let pose = track.and_then(|track| track.at(stamp).or_else(|| track.nearest(stamp)));
+                if at == 0 {
+                    Some(ego)
+                } else {
+                    pose.map(|pose| pose_row(&pose, origin))
+                }
+            })
+            .collect();
+        let frame = self.frames.entry(seq).or_default();
+        frame.t = (stamp - self.start_ns) / MILLI;
+        if poses.iter().flatten().count() > frame.poses.iter().flatten().count() {
+            frame.poses = poses;
+        }
+        let mut of_run = RunFrame {
+            pose: Some(ego),
+            ..RunFrame::default()
+        };
+        if let Some((_, truth)) = &sweep.truth {
+            frame.key |= truth.key;
+            let order: Vec<Option<usize>> = self
+                .agents
+                .iter()
+                .map(|agent| truth.agents.iter().position(|name| **name == *agent.name))
+                .collect();
+            let is_whole = truth.points.len() == truth.boxes.len() * truth.agents.len();
+            let objects = labelled(truth, protocol).iter().enumerate().map(|(index, object)| {
+                let counted = judged.object_classes.get(index).copied().flatten();
+                let mut row = vec![names.class(counted.map_or(&*object.class, class))];
+                row.extend(place_of(object));
+                row.push(object.track.and_then(|track| i32::try_from(track).ok()).unwrap_or(-1));
+                row.push(i32::from(counted.is_some()));
+                let points = |agent: &Option<usize>| {
+                    let at = index * truth.agents.len() + (*agent)?;
+                    truth.points.get(at).copied()
+                };
+                let known = is_whole && truth.own.is_none();
+                let of_agents = order.iter().map(|agent| points(agent).unwrap_or(0));
+                (row, if known { of_agents.collect() } else { Vec::new() })
+            });
+            of_run.objects = Some(objects.collect());
+        }
+        if let Some((_, boxes)) = &sweep.boxes {
+            let rows = boxes.0.iter().enumerate().map(|(index, object)| {
+                let counted = judged.detection_classes[index];
+                let mut row = vec![names.class(counted.map_or(&*object.class, class))];
+                row.push((object.score * 1000.0).round() as i32);
+                row.extend(place_of(object));
+                row.extend(&judged.detections[index]);
+                row
+            });
+            of_run.boxes = Some(rows.collect());
+        }
+        run.frames.insert(seq, of_run);
+        Ok(())
+    }
+
+    /// What became of each message, and what was fused for each sweep.
+    fn add_fates(&mut self, recorded: &Recorded, run: &mut SceneRun) {
+        let kind_of = |kind: Kind| Kind::ALL.iter().position(|known| *known == kind).unwrap_or(0) as i64;
+        // A message's fate is the first that fits; a use says for which sweep.
+        let mut ends: BTreeMap<(usize, i64, u64), (Fate, Option<u64>)> = BTreeMap::new();
+        for fated in recorded
+            .fates
+            .iter()
+            .filter(|fated| fated.message.kind != Kind::AgentState)
+        {
+            let agent = self.agent(&fated.message.from, None);
+            let (kind, seq) = (kind_of(fated.message.kind), fated.message.seq);
+            let end = ends.entry((agent, kind, seq)).or_insert((fated.fate, None));
+            end.0 = end.0.min(fated.fate);
+            let Some(used) = fated.r#use else { continue };
+            end.1 = end.1.or(Some(used.query));
+            if let Some(frame) = run.frames.get_mut(&used.query) {
+                let row = [agent as i64, kind, used.age_ns / (MILLI / 10), seq as i64];
+                if !frame.used.contains(&row) {
+                    frame.used.push(row);
+                }
+            }
+        }
+        let excess = ends.len().saturating_sub(MOST_MESSAGES);
+        let mut to_drop = excess;
+        let kept = ends.iter().filter(|(_, (fate, _))| {
+            let drop = to_drop > 0 && *fate == Fate::Used;
+            to_drop -= usize::from(drop);
+            !drop
+        });
+        let kept: Vec<_> = kept.take(MOST_MESSAGES).collect();
+        for ((agent, kind, seq), (fate, query)) in kept {
+            let t = query.and_then(|query| self.frames.get(&query)).map(|frame| frame.t);
+            let t = t.or_else(|| {
+                let of_sender = (*agent, *kind, 0)..=(*agent, *kind, u64::MAX);
+                let used = ends
+                    .range(of_sender)
+                    .filter_map(|((.., seq), (_, query))| Some((*seq, self.frames.get(&(*query)?)?.t)));
+                placed(*seq, used)
+            });
+            let number = Fate::ALL.iter().position(|known| known == fate).unwrap_or(0);
+            run.messages
+                .push([*agent as i64, *kind, *seq as i64, number as i64, t.unwrap_or(-1)]);
+        }
+    }
+}
+
+/// The time of a message by those of its sender before and after it, ms; `None` with fewer than two.
+fn placed(seq: u64, used: impl Iterator<Item = (u64, i64)>) -> Option<i64> {
+    let used: Vec<(u64, i64)> = used.collect();
+    if used.len() < 2 {
+        return None;
+    }
+    let after = used.partition_point(|(known, _)| *known < seq).clamp(1, used.len() - 1);
+    let ((from, start), (to, end)) = (used[after - 1], used[after]);
+    let step = (end - start) as f64 / (to - from).max(1) as f64;
+    Some(start + ((seq as f64 - from as f64) * step).round() as i64)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_message_is_placed_between_its_neighbours() {
+        let used = [(10, 1000), (12, 1200), (20, 2000)];
+        let at = |seq| placed(seq, used.into_iter());
+        assert_eq!(
+            [10, 11, 15, 20, 22, 8].map(at),
+            [1000, 1100, 1500, 2000, 2200, 800].map(Some)
+        );
+        assert_eq!(placed(3, [(1, 5)].into_iter()), None);
+    }
+}

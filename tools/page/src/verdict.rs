@@ -1,0 +1,345 @@
+//! What came out of runs, in three sentences.
+
+use std::collections::BTreeSet;
+
+use realo_results::{Ages, Fates, Run, Spread};
+use realo_schemas::Kind;
+
+/// The overlap that sentences are about, where the protocol has it.
+const IOU: &str = "0.5";
+
+/// The overlap that sentences are about: 0.5, else the first of the runs.
+pub fn overlap(runs: &[(&str, &Run)]) -> String {
+    let accuracies = runs.iter().filter_map(|(_, run)| run.result.accuracy.as_ref());
+    let ious: BTreeSet<&String> = accuracies.flat_map(|accuracy| accuracy.sorted.mean_ap.keys()).collect();
+    match ious.iter().any(|iou| *iou == IOU) {
+        true => IOU.into(),
+        false => ious.first().map_or(String::new(), |iou| (*iou).clone()),
+    }
+}
+
+/// Who beat whom, what cooperation gained or harmed, and what was lost or late.
+pub fn sentences(runs: &[(&str, &Run)]) -> Vec<String> {
+    let iou = overlap(runs);
+    let scored: Vec<Scored> = runs
+        .iter()
+        .filter_map(|(name, run)| Scored::of(name, run, &iou))
+        .collect();
+    let mut said = vec![ranking(&scored, &iou)];
+    said.extend(margins(&scored));
+    said.push(traffic(runs));
+    said
+}
+
+/// A run with a mean average precision.
+struct Scored<'a> {
+    name: &'a str,
+    run: &'a Run,
+    mean: f64,
+    interval: Option<[f64; 2]>,
+    /// By class.
+    ap: Vec<(&'a str, f64)>,
+}
+
+impl<'a> Scored<'a> {
+    fn of(name: &'a str, run: &'a Run, iou: &str) -> Option<Self> {
+        let accuracy = &run.result.accuracy.as_ref()?.sorted;
+        let known = |(class, ap): (&'a String, &std::collections::BTreeMap<String, Option<f64>>)| {
+            Some((class.as_str(), ap.get(iou).copied().flatten()?))
+        };
+        let ap: Vec<(&str, f64)> = accuracy.ap.iter().filter_map(known).collect();
+        let sum: f64 = ap.iter().map(|(_, ap)| ap).sum();
+        let whole = accuracy.mean_ap.get(iou).copied().flatten();
+        let intervals = run.result.intervals.as_ref();
+        Some(Scored {
+            name,
+            run,
+            // Where classes have no objects, the mean of the others, as tables say it.
+            mean: whole.or_else(|| (!ap.is_empty()).then(|| sum / ap.len() as f64))?,
+            interval: intervals.and_then(|all| all.accuracy.sorted.mean_ap.get(iou).copied().flatten()),
+            ap,
+        })
+    }
+
+    fn is_alone(&self) -> bool {
+        self.run.result.cooperation.is_none()
+    }
+
+    fn value(&self) -> String {
+        match self.interval {
+            Some([low, high]) => format!("{:.3} (95 % interval {low:.3} to {high:.3})", self.mean),
+            None => format!("{:.3}", self.mean),
+        }
+    }
+}
+
+fn ranking(scored: &[Scored], iou: &str) -> String {
+    let mut order: Vec<&Scored> = scored.iter().collect();
+    order.sort_by(|a, b| b.mean.total_cmp(&a.mean));
+    match order.as_slice() {
+        [] => "No run was scored: the log has no truth, or the graph has no evaluator.".into(),
+        [only] => format!("{} reaches mAP {} at IoU {iou}.", only.name, only.value()),
+        [first, second, ..] if three(first.mean) == three(second.mean) => format!(
+            "{} and {} are level, at mAP {:.3} at IoU {iou}.",
+            first.name, second.name, first.mean
+        ),
+        [first, second, ..] => {
+            let last = order.last().filter(|_| order.len() > 2);
+            let last = last.map_or(String::new(), |last| {
+                format!("; last is {} with {:.3}", last.name, last.mean)
+            });
+            format!(
+                "{} is best, with mAP {} at IoU {iou}: {:.3} more than {}, which has {}{last}. {}",
+                first.name,
+                first.value(),
+                first.mean - second.mean,
+                second.name,
+                second.value(),
+                certainty(first, second)
+            )
+        }
+    }
+}
+
+fn three(value: f64) -> i64 {
+    (value * 1000.0).round() as i64
+}
+
+fn certainty(first: &Scored, second: &Scored) -> &'static str {
+    match (first.interval, second.interval) {
+        (Some([low, _]), Some([_, high])) if low > high => "The intervals do not overlap.",
+        (Some(_), Some(_)) => "The intervals overlap: other logs may turn the order.",
+        _ => "Intervals need two logs or more: a small difference may be chance.",
+    }
+}
+
+/// Fused minus ego alone, for each run that fuses; nothing without a run of the ego alone.
+fn margins(scored: &[Scored]) -> Option<String> {
+    let alone = scored.iter().find(|scored| scored.is_alone())?;
+    let mut fused: Vec<&Scored> = scored.iter().filter(|scored| !scored.is_alone()).collect();
+    fused.sort_by(|a, b| b.mean.total_cmp(&a.mean));
+    if fused.is_empty() {
+        return None;
+    }
+    const MOST: usize = 6;
+    let margin = |fused: &&Scored| format!("{} {:+.3}", fused.name, fused.mean - alone.mean);
+    let mut all: Vec<String> = fused.iter().take(MOST).map(margin).collect();
+    if fused.len() > MOST {
+        all.push(format!("{} more in the table", fused.len() - MOST));
+    }
+    let harm: Vec<String> = fused.iter().flat_map(|fused| harmed(fused, alone)).take(MOST).collect();
+    let harm = match harm.is_empty() {
+        true => "no class became worse".into(),
+        false => format!("worse than the ego alone: {}", harm.join(", ")),
+    };
+    Some(format!(
+        "Margin over the ego alone ({}): {}; {harm}.",
+        alone.name,
+        all.join(", ")
+    ))
+}
+
+/// Classes in which a run is worse than the ego alone.
+fn harmed(fused: &Scored, alone: &Scored) -> Vec<String> {
+    let worse = |(class, ap): &(&str, f64)| {
+        let (_, before) = alone.ap.iter().find(|(known, _)| known == class)?;
+        (three(*ap) < three(*before)).then(|| format!("{} on {class} ({:+.3})", fused.name, ap - before))
+    };
+    fused.ap.iter().filter_map(worse).collect()
+}
+
+fn traffic(runs: &[(&str, &Run)]) -> String {
+    let (mut sent, mut lost, mut fates) = (0, 0, Fates::default());
+    let mut ages = Ages::default();
+    let (mut skipped, mut key) = (0, 0);
+    for (_, run) in runs {
+        let channels = run
+            .result
+            .channels()
+            .filter(|(_, kind, _)| *kind != Kind::AgentState.as_str());
+        for (.., books) in channels.filter(|(.., books)| books.accounted.is_some()) {
+            (sent, lost) = (sent + books.sent, lost + books.lost);
+            if let Some(accounted) = &books.accounted {
+                fates.add(&accounted.fates);
+            }
+        }
+        let kinds = run
+            .samples
+            .ages_ns
+            .iter()
+            .filter(|(kind, _)| **kind != Kind::AgentState);
+        let offline = run.result.settings.mode == "offline";
+        kinds.for_each(|(_, of_kind)| ages.merge(&if offline { of_kind.distances() } else { of_kind.clone() }));
+        skipped += run.result.frames.key_skipped;
+        key += run.result.frames.key;
+    }
+    let boxes = match skipped {
+        0 => format!("all {key} scored sweeps got boxes"),
+        _ => format!("{skipped} of {key} scored sweeps got no boxes"),
+    };
+    if sent == 0 {
+        return format!("No message for fusion crossed a link; {boxes}.");
+    }
+    let not_used = [
+        ("lost on the link", lost),
+        ("too old when asked for", fates.stale),
+        ("skipped by busy stages", fates.skipped),
+        ("replaced by newer ones", fates.superseded),
+        ("distrusted", fates.distrusted),
+        ("over the limit of the fusion", fates.over_limit),
+        ("rejected", fates.rejected),
+    ];
+    let not_used: Vec<String> = not_used
+        .iter()
+        .filter(|(_, count)| *count > 0)
+        .map(|(what, count)| format!("{count} {what}"))
+        .collect();
+    let not_used = match not_used.is_empty() {
+        true => "none was lost or late".into(),
+        false => not_used.join(", "),
+    };
+    let of = if runs.len() > 1 {
+        "In all runs together, of"
+    } else {
+        "Of"
+    };
+    let spread = Spread::of_ages(&ages);
+    let all_offline = runs.iter().all(|(_, run)| run.result.settings.mode == "offline");
+    let age = match (spread.p50, spread.p95) {
+        (Some(half), Some(most)) if all_offline => {
+            format!(
+                "; stamps of fused data are {} apart in the median, {} at p95",
+                ms(half),
+                ms(most)
+            )
+        }
+        (Some(half), Some(most)) => format!("; fused data are {} old in the median, {} at p95", ms(half), ms(most)),
+        _ => String::new(),
+    };
+    format!(
+        "{of} {sent} messages {} were used ({:.0} %), {not_used}{age}; {boxes}.",
+        fates.used,
+        100.0 * fates.used as f64 / sent as f64
+    )
+}
+
+fn ms(value: f64) -> String {
+    match value.abs() < 9.95 {
+        true => format!("{value:.1} ms"),
+        false => format!("{value:.0} ms"),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::collections::BTreeMap;
+
+    use realo_results::{Accounted, Cooperation, LinkBooks, RunResult, Samples, Settings, Timing};
+    use realo_scoring::{Accuracy, Bounds, Intervals, Orders};
+
+    use super::*;
+
+    fn run(vehicle: f64, pedestrian: f64, fuses: bool) -> Run {
+        let iou = |value| BTreeMap::from([("0.5".to_string(), Some(value))]);
+        let accuracy = Accuracy {
+            ap: BTreeMap::from([("vehicle".into(), iou(vehicle)), ("pedestrian".into(), iou(pedestrian))]),
+            mean_ap: iou((vehicle + pedestrian) / 2.0),
+            ..Accuracy::default()
+        };
+        let mut result = RunResult::new(Settings::default());
+        result.accuracy = Some(Orders {
+            sorted: accuracy.clone(),
+            v2x_real: accuracy,
+        });
+        result.cooperation = fuses.then(Cooperation::default);
+        result.frames.key = 20;
+        Run {
+            result,
+            timing: Timing::default(),
+            samples: Samples::default(),
+        }
+    }
+
+    fn with_interval(mut run: Run, bounds: [f64; 2]) -> Run {
+        let of = Bounds {
+            mean_ap: BTreeMap::from([("0.5".into(), Some(bounds))]),
+            ..Bounds::default()
+        };
+        let orders = || Orders {
+            sorted: of.clone(),
+            v2x_real: of.clone(),
+        };
+        run.result.intervals = Some(Intervals {
+            accuracy: orders(),
+            accuracy_seen: orders(),
+        });
+        run
+    }
+
+    #[test]
+    fn the_best_is_named_with_its_lead_and_what_it_harms() {
+        let (late, none) = (run(0.9, 0.5, true), run(0.6, 0.6, false));
+        let said = sentences(&[("none", &none), ("late", &late)]);
+        assert_eq!(
+            said[0],
+            "late is best, with mAP 0.700 at IoU 0.5: 0.100 more than none, which has 0.600. Intervals need two logs or more: \
+             a small difference may be chance."
+        );
+        assert_eq!(
+            said[1],
+            "Margin over the ego alone (none): late +0.100; worse than the ego alone: late on pedestrian (-0.100)."
+        );
+        assert_eq!(
+            said[2],
+            "No message for fusion crossed a link; all 40 scored sweeps got boxes."
+        );
+    }
+
+    #[test]
+    fn intervals_say_how_sure_the_order_is() {
+        let first = with_interval(run(0.9, 0.7, true), [0.75, 0.85]);
+        for (high, words) in [(0.7, "do not overlap"), (0.8, "overlap: other logs")] {
+            let second = with_interval(run(0.6, 0.6, true), [0.5, high]);
+            let said = &sentences(&[("a", &first), ("b", &second)])[0];
+            assert!(
+                said.contains(words) && said.contains("0.800 (95 % interval 0.750 to 0.850)"),
+                "{said}"
+            );
+        }
+        assert!(sentences(&[("a", &first), ("b", &first)])[0].starts_with("a and b are level"));
+    }
+
+    #[test]
+    fn what_was_lost_or_late_is_counted() {
+        let mut late = run(0.9, 0.5, true);
+        let books = LinkBooks {
+            sent: 100,
+            lost: 7,
+            accounted: Some(Accounted {
+                fates: Fates {
+                    used: 90,
+                    stale: 3,
+                    ..Fates::default()
+                },
+                unaccounted: 0,
+            }),
+            ..LinkBooks::default()
+        };
+        late.result
+            .links
+            .insert("rsu1-cav1".into(), BTreeMap::from([("boxes".into(), books)]));
+        let said = sentences(&[("late", &late)]);
+        assert_eq!(said.len(), 2, "no ego alone, no margin");
+        assert_eq!(
+            said[1],
+            "Of 100 messages 90 were used (90 %), 7 lost on the link, 3 too old when asked for; all 20 scored sweeps got boxes."
+        );
+    }
+
+    #[test]
+    fn a_run_without_scores_says_so() {
+        let mut silent = run(0.9, 0.5, true);
+        silent.result.accuracy = None;
+        assert!(sentences(&[("a", &silent)])[0].starts_with("No run was scored"));
+    }
+}
