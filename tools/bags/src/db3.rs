@@ -32,7 +32,12 @@ impl Db3 {
                 path.display()
             ));
         }
-        let topics = need(path, &mut database, "topics", &["id", "name", "type", "serialization_format"])?;
+        let topics = need(
+            path,
+            &mut database,
+            "topics",
+            &["id", "name", "type", "serialization_format"],
+        )?;
         let messages = need(path, &mut database, "messages", &["topic_id", "timestamp", "data"])?;
         let (mut connections, mut known) = (Vec::new(), BTreeMap::new());
         let mut rows = Vec::new();
@@ -86,7 +91,10 @@ struct Needed {
 
 fn need(path: &Path, database: &mut Database, name: &str, columns: &[&str]) -> Result<Needed, BagError> {
     let not = |what: String| {
-        BagError::content(path, format!("expected a bag of ROS 2, found a database without the {what}; give the bag's own file"))
+        BagError::content(
+            path,
+            format!("expected a bag of ROS 2, found a database without the {what}; give the bag's own file"),
+        )
     };
     let table = database.table(name)?.ok_or_else(|| not(format!("table `{name}`")))?;
     let column = |column: &&str| {

@@ -95,11 +95,18 @@ impl Draft {
             }
             name = format!("{wanted}_{number}");
         }
-        let main = clouds.iter().max_by_key(|topic| (topic.points, topic.messages)).expect("a group has clouds");
+        let main = clouds
+            .iter()
+            .max_by_key(|topic| (topic.points, topic.messages))
+            .expect("a group has clouds");
         let mut remark = |field, words: String| {
             self.why.insert((name.clone(), field), words);
         };
-        let others: Vec<&str> = clouds.iter().filter(|topic| topic.topic != main.topic).map(|t| t.topic.as_str()).collect();
+        let others: Vec<&str> = clouds
+            .iter()
+            .filter(|topic| topic.topic != main.topic)
+            .map(|t| t.topic.as_str())
+            .collect();
         if !others.is_empty() {
             remark("clouds", format!("the most points; it has {} too", others.join(", ")));
         }
@@ -107,7 +114,10 @@ impl Draft {
         remark(
             "frame",
             match is_fixed_to {
-                true => format!("`{}` is fixed to it", main.frames.iter().cloned().collect::<Vec<_>>().join(" ")),
+                true => format!(
+                    "`{}` is fixed to it",
+                    main.frames.iter().cloned().collect::<Vec<_>>().join(" ")
+                ),
                 false => "the frame of its clouds, which no transform fixes to another".into(),
             },
         );
@@ -118,10 +128,10 @@ impl Draft {
                 its == *space || (space.is_empty() && !spaces.contains(its)) || (!spaces.contains(its) && groups == 1)
             })
         };
-        let most = |kind: Kind| {
-            ours(kind).max_by_key(|topic| (topic.children.contains(base), topic.messages))
-        };
-        let posed = [Kind::Odometry, Kind::PoseStamped, Kind::PoseWithCovarianceStamped].into_iter().find_map(most);
+        let most = |kind: Kind| ours(kind).max_by_key(|topic| (topic.children.contains(base), topic.messages));
+        let posed = [Kind::Odometry, Kind::PoseStamped, Kind::PoseWithCovarianceStamped]
+            .into_iter()
+            .find_map(most);
         let moves = survey.root_of(base) != *base;
         let (pose, world, imu) = match (posed, moves, most(Kind::NavSatFix)) {
             (Some(topic), ..) => {
@@ -136,11 +146,17 @@ impl Draft {
             }
             (None, false, Some(fix)) => {
                 let imu = most(Kind::Imu).map(|topic| topic.topic.clone());
-                remark("pose", "positions; the first one is the map's origin where `map_origin` says no other".into());
+                remark(
+                    "pose",
+                    "positions; the first one is the map's origin where `map_origin` says no other".into(),
+                );
                 (PoseSource::Topic(fix.topic.clone()), "map".into(), imu)
             }
             (None, false, None) => {
-                remark("pose", "NOTHING SAYS WHERE IT IS: name a topic, or write [x, y, z, yaw] if it stands still".into());
+                remark(
+                    "pose",
+                    "NOTHING SAYS WHERE IT IS: name a topic, or write [x, y, z, yaw] if it stands still".into(),
+                );
                 (PoseSource::Tf, String::new(), None)
             }
         };
@@ -150,15 +166,23 @@ impl Draft {
         }
         let is_truth = |topic: &TopicSurvey| {
             let name = topic.topic.to_ascii_lowercase();
-            ["truth", "label", "annotation", "gt_", "_gt", "/gt"].iter().any(|word| name.contains(word))
+            ["truth", "label", "annotation", "gt_", "_gt", "/gt"]
+                .iter()
+                .any(|word| name.contains(word))
         };
         let objects = || ours(Kind::Detection3DArray).chain(ours(Kind::MarkerArray));
         let truth = objects().find(|topic| is_truth(topic)).map(|topic| topic.topic.clone());
-        let detections = ours(Kind::Detection3DArray).find(|topic| !is_truth(topic)).map(|topic| topic.topic.clone());
+        let detections = ours(Kind::Detection3DArray)
+            .find(|topic| !is_truth(topic))
+            .map(|topic| topic.topic.clone());
         let lower = name.to_ascii_lowercase();
         let stands = ["rsu", "infra", "road", "mast"].iter().any(|word| lower.contains(word));
         let agent = AgentMap {
-            kind: if stands { AgentKind::Roadside } else { AgentKind::Vehicle },
+            kind: if stands {
+                AgentKind::Roadside
+            } else {
+                AgentKind::Vehicle
+            },
             bag: several.then(|| Path::new(survey.path.file_name().unwrap_or(survey.path.as_os_str())).into()),
             clouds: vec![main.topic.clone()],
             frame: base.clone(),
@@ -193,8 +217,13 @@ fn groups(survey: &Survey) -> Vec<Group<'_>> {
     for cloud in survey.of_kind(Kind::PointCloud2).filter(|topic| topic.messages > 0) {
         let frame = cloud.frames.iter().next().cloned().unwrap_or_default();
         let base = survey.base_of(&frame);
-        let space = Some(space_of(&cloud.topic)).filter(|space| others.contains(space)).unwrap_or_default();
-        match groups.iter_mut().find(|group| group.base == base && group.space == space) {
+        let space = Some(space_of(&cloud.topic))
+            .filter(|space| others.contains(space))
+            .unwrap_or_default();
+        match groups
+            .iter_mut()
+            .find(|group| group.base == base && group.space == space)
+        {
             Some(group) => group.clouds.push(cloud),
             None => groups.push(Group {
                 survey,
@@ -223,8 +252,13 @@ fn named(text: &str) -> String {
 impl fmt::Display for Draft {
     /// As YAML.
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
-        let MapFile { world, clock, agents, .. } = &self.map;
-        writeln!(f, "# A draft: look at every line. docs/reference/importers.md has the fields.")?;
+        let MapFile {
+            world, clock, agents, ..
+        } = &self.map;
+        writeln!(
+            f,
+            "# A draft: look at every line. docs/reference/importers.md has the fields."
+        )?;
         writeln!(f, "world: {}  # {}", quoted(world), self.world)?;
         writeln!(f, "clock: {}  # or `log`: when messages were recorded", clock.as_str())?;
         writeln!(f, "agents:")?;
@@ -241,15 +275,26 @@ impl fmt::Display for Draft {
             }
             line(f, "clouds", &quoted(&agent.clouds[0]))?;
             line(f, "frame", &quoted(&agent.frame))?;
-            writeln!(f, "    height: {}  # of the frame over the ground, m, or `ground`: as the first sweeps have it", agent.height)?;
+            writeln!(
+                f,
+                "    height: {}  # of the frame over the ground, m, or `ground`: as the first sweeps have it",
+                agent.height
+            )?;
             line(f, "pose", &agent.pose.to_string())?;
-            for (field, topic) in [("imu", &agent.imu), ("truth", &agent.truth), ("detections", &agent.detections)] {
+            for (field, topic) in [
+                ("imu", &agent.imu),
+                ("truth", &agent.truth),
+                ("detections", &agent.detections),
+            ] {
                 if let Some(topic) = topic {
                     line(f, field, &quoted(topic))?;
                 }
             }
             if agent.kind == AgentKind::Vehicle {
-                writeln!(f, "    # footprint: [-1.0, 3.8, -0.9, 0.9]  # the outline in `frame`, m: x min, x max, y min, y max")?;
+                writeln!(
+                    f,
+                    "    # footprint: [-1.0, 3.8, -0.9, 0.9]  # the outline in `frame`, m: x min, x max, y min, y max"
+                )?;
             }
         }
         Ok(())

@@ -129,7 +129,12 @@ impl MapFile {
     pub fn read(path: &Path) -> Result<Self, BagError> {
         let text = realo_documents::read(path).map_err(BagError::io(path))?;
         Self::parse(&text).map_err(|reason| {
-            BagError::content(path, format!("{reason}; `realo info BAG` prints a first draft, and docs/reference/importers.md has the fields"))
+            BagError::content(
+                path,
+                format!(
+                    "{reason}; `realo info BAG` prints a first draft, and docs/reference/importers.md has the fields"
+                ),
+            )
         })
     }
 
@@ -147,10 +152,17 @@ impl MapFile {
             if agent.clouds.is_empty() {
                 return wrong("clouds: expected a topic, found none".into());
             }
-            if agent.offset.is_some_and(|offset| !offset.is_finite() || offset.abs() > 1e10) {
+            if agent
+                .offset
+                .is_some_and(|offset| !offset.is_finite() || offset.abs() > 1e10)
+            {
                 return wrong("offset: expected seconds within ±10¹⁰".into());
             }
-            if let Some((frame, _)) = agent.mounts.iter().find(|(_, mount)| mount.iter().any(|v| !v.is_finite())) {
+            if let Some((frame, _)) = agent
+                .mounts
+                .iter()
+                .find(|(_, mount)| mount.iter().any(|v| !v.is_finite()))
+            {
                 return wrong(format!("mounts.{frame}: expected six finite numbers"));
             }
         }
@@ -163,7 +175,10 @@ impl AgentMap {
     pub fn mounted(&self) -> impl Iterator<Item = (&str, Isometry3<f64>)> {
         self.mounts.iter().map(|(frame, [x, y, z, roll, pitch, yaw])| {
             let rotation = UnitQuaternion::from_euler_angles(*roll, *pitch, *yaw);
-            (frame.as_str(), Isometry3::from_parts(Translation3::new(*x, *y, *z), rotation))
+            (
+                frame.as_str(),
+                Isometry3::from_parts(Translation3::new(*x, *y, *z), rotation),
+            )
         })
     }
 }
@@ -176,10 +191,16 @@ enum OneOrMany {
 }
 
 fn one_or_many<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<String>, D::Error> {
-    Ok(match OneOrMany::deserialize(deserializer)? {
-        OneOrMany::One(topic) => vec![topic],
-        OneOrMany::Many(topics) => topics,
-    })
+    use serde::de::Error;
+    let found = OneOrMany::deserialize(deserializer);
+    Ok(
+        match found
+            .map_err(|_| D::Error::custom("clouds: expected a topic or a list of topics, found something else"))?
+        {
+            OneOrMany::One(topic) => vec![topic],
+            OneOrMany::Many(topics) => topics,
+        },
+    )
 }
 
 #[derive(Deserialize)]
@@ -194,15 +215,21 @@ impl<'de> Deserialize<'de> for PoseSource {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         use serde::de::Error;
         let expected = "pose: expected `tf`, a topic, [x, y, z, yaw] or [x, y, z, qx, qy, qz, qw]";
-        match NumbersOrText::deserialize(deserializer)? {
+        // Serde names its own types where nothing fits.
+        let found = NumbersOrText::deserialize(deserializer);
+        match found.map_err(|_| D::Error::custom(format!("{expected}, found something else")))? {
             NumbersOrText::Text(text) if text == "tf" => Ok(PoseSource::Tf),
             NumbersOrText::Text(topic) => Ok(PoseSource::Topic(topic)),
             NumbersOrText::Numbers(numbers) => match numbers[..] {
-                [x, y, z, yaw] if numbers.iter().all(|v| v.is_finite()) => Ok(PoseSource::Fixed(Isometry3::from_parts(
-                    Translation3::new(x, y, z),
-                    UnitQuaternion::from_euler_angles(0.0, 0.0, yaw),
-                ))),
-                [x, y, z, i, j, k, w] => isometry(&[x, y, z, i, j, k, w]).map(PoseSource::Fixed).map_err(D::Error::custom),
+                [x, y, z, yaw] if numbers.iter().all(|v| v.is_finite()) => {
+                    Ok(PoseSource::Fixed(Isometry3::from_parts(
+                        Translation3::new(x, y, z),
+                        UnitQuaternion::from_euler_angles(0.0, 0.0, yaw),
+                    )))
+                }
+                [x, y, z, i, j, k, w] => isometry(&[x, y, z, i, j, k, w])
+                    .map(PoseSource::Fixed)
+                    .map_err(D::Error::custom),
                 _ => Err(D::Error::custom(format!("{expected}, found {} numbers", numbers.len()))),
             },
             NumbersOrText::Number(number) => Err(D::Error::custom(format!("{expected}, found {number}"))),
@@ -214,12 +241,18 @@ impl<'de> Deserialize<'de> for Height {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         use serde::de::Error;
         let expected = "height: expected `ground`, or -5 to 50 m";
-        match NumbersOrText::deserialize(deserializer)? {
+        let found = NumbersOrText::deserialize(deserializer);
+        match found.map_err(|_| D::Error::custom(format!("{expected}, found something else")))? {
             NumbersOrText::Text(text) if text == "ground" => Ok(Height::Ground),
             NumbersOrText::Number(meters) if (-5.0..=50.0).contains(&meters) => Ok(Height::Meters(meters)),
             NumbersOrText::Number(found) => Err(D::Error::custom(format!("{expected}, found {found}"))),
-            NumbersOrText::Text(found) => Err(D::Error::custom(format!("{expected}, found `{}`", found.escape_debug()))),
-            NumbersOrText::Numbers(found) => Err(D::Error::custom(format!("{expected}, found {} numbers", found.len()))),
+            NumbersOrText::Text(found) => Err(D::Error::custom(format!(
+                "{expected}, found `{}`",
+                found.escape_debug()
+            ))),
+            NumbersOrText::Numbers(found) => {
+                Err(D::Error::custom(format!("{expected}, found {} numbers", found.len())))
+            }
         }
     }
 }
@@ -269,13 +302,19 @@ mod tests {
         let map = MapFile::parse(SHORT).unwrap();
         assert_eq!((map.world.as_str(), map.clock), ("map", StampClock::Header));
         let car = &map.agents["car"];
-        assert_eq!((car.kind, &car.pose, car.height), (AgentKind::Vehicle, &PoseSource::Tf, Height::Ground));
+        assert_eq!(
+            (car.kind, &car.pose, car.height),
+            (AgentKind::Vehicle, &PoseSource::Tf, Height::Ground)
+        );
         assert_eq!(car.clouds, ["/points"]);
-        let more = "    kind: roadside\n    height: 5.2\n    offset: -0.01\n    mounts: {lidar: [0, 0, 2, 0, 0, 1.5]}\n";
+        let more =
+            "    kind: roadside\n    height: 5.2\n    offset: -0.01\n    mounts: {lidar: [0, 0, 2, 0, 0, 1.5]}\n";
         let map = MapFile::parse(&format!("{SHORT}{more}").replace("pose: tf", "pose: [1, 2, 0, 0.5]")).unwrap();
         let mast = &map.agents["car"];
         assert_eq!((mast.kind, mast.height), (AgentKind::Roadside, Height::Meters(5.2)));
-        let PoseSource::Fixed(pose) = &mast.pose else { panic!("{:?}", mast.pose) };
+        let PoseSource::Fixed(pose) = &mast.pose else {
+            panic!("{:?}", mast.pose)
+        };
         assert_eq!(pose.translation.vector.y, 2.0);
         assert_eq!(mast.mounted().next().unwrap().0, "lidar");
     }

@@ -104,8 +104,14 @@ struct InOrder {
 
 impl Messages for InOrder {
     fn next(&mut self) -> Result<Option<Message>, BagError> {
-        let Some(message) = self.messages.next()? else { return Ok(None) };
+        let Some(message) = self.messages.next()? else {
+            return Ok(None);
+        };
         let connection = self.known[&message.channel];
-        Ok(Some(Message::owned(connection, nanos(message.log_time), message.data().to_vec())))
+        Ok(Some(Message::owned(
+            connection,
+            nanos(message.log_time),
+            message.data().to_vec(),
+        )))
     }
 }

@@ -41,7 +41,10 @@ impl Kind {
         (Kind::Transforms, "tf/tfMessage"),
         (Kind::Odometry, "nav_msgs/Odometry"),
         (Kind::PoseStamped, "geometry_msgs/PoseStamped"),
-        (Kind::PoseWithCovarianceStamped, "geometry_msgs/PoseWithCovarianceStamped"),
+        (
+            Kind::PoseWithCovarianceStamped,
+            "geometry_msgs/PoseWithCovarianceStamped",
+        ),
         (Kind::NavSatFix, "sensor_msgs/NavSatFix"),
         (Kind::Imu, "sensor_msgs/Imu"),
         (Kind::TimeReference, "sensor_msgs/TimeReference"),
@@ -173,7 +176,8 @@ pub fn pose(kind: Kind, input: &mut CdrReader) -> Result<Pose, CdrError> {
         frame: frame.into(),
         child: child.map(String::from),
         frame_from_child,
-        covariance: covariance.filter(|numbers| numbers.iter().all(|v| v.is_finite()) && numbers.iter().any(|v| *v != 0.0)),
+        covariance: covariance
+            .filter(|numbers| numbers.iter().all(|v| v.is_finite()) && numbers.iter().any(|v| *v != 0.0)),
     })
 }
 

@@ -41,7 +41,12 @@ pub fn open(path: &Path) -> Result<Box<dyn Bag>, BagError> {
         Some(unpacked) => open_file(unpacked.path())
             .map_err(|error| BagError::content(path, format!("what it was unpacked to cannot be read: {error}")))?,
     };
-    Ok(Box::new(Rosbag2::of_file(path, bag, unpacked, lost.into_iter().collect())))
+    Ok(Box::new(Rosbag2::of_file(
+        path,
+        bag,
+        unpacked,
+        lost.into_iter().collect(),
+    )))
 }
 
 /// Why a path is a bag, by its first bytes alone.
@@ -72,11 +77,16 @@ pub fn recognise(path: &Path) -> Result<&'static str, String> {
 fn head(path: &Path) -> Result<Vec<u8>, BagError> {
     // To open a pipe would wait for whoever writes into it.
     if !path.metadata().map_err(BagError::io(path))?.is_file() {
-        return Err(BagError::content(path, format!("expected {SORTS}, found a device or the like")));
+        return Err(BagError::content(
+            path,
+            format!("expected {SORTS}, found a device or the like"),
+        ));
     }
     let mut head = Vec::new();
     let file = File::open(path).map_err(BagError::io(path))?;
-    file.take(LOOKED_AT).read_to_end(&mut head).map_err(BagError::io(path))?;
+    file.take(LOOKED_AT)
+        .read_to_end(&mut head)
+        .map_err(BagError::io(path))?;
     Ok(head)
 }
 
@@ -98,14 +108,19 @@ pub(crate) fn open_file(path: &Path) -> Result<Box<dyn Bag>, BagError> {
         head if head.starts_with(rosbag1::MAGIC) => Ok(Box::new(Rosbag1::open(path)?)),
         head if head.starts_with(sqlite::MAGIC) => Ok(Box::new(Db3::open(path)?)),
         head if head.starts_with(MCAP) => Ok(Box::new(Mcap::open(path)?)),
-        head => Err(BagError::content(path, format!("expected {SORTS}, found {}", what(path, head)))),
+        head => Err(BagError::content(
+            path,
+            format!("expected {SORTS}, found {}", what(path, head)),
+        )),
     }
 }
 
 /// What a file is instead, and what helps.
 fn what(path: &Path, head: &[u8]) -> String {
     let name = path.display();
-    let unpack = |what: &str, program: &str| format!("a file that is compressed by {what}; unpack it first (`{program} {name}`)");
+    let unpack = |what: &str, program: &str| {
+        format!("a file that is compressed by {what}; unpack it first (`{program} {name}`)")
+    };
     match head {
         [] => "an empty file; the recorder ended before its first message, or the copy failed".into(),
         head if head.starts_with(LFS) => "a pointer of Git LFS; run `git lfs pull` in its folder".into(),
@@ -114,6 +129,9 @@ fn what(path: &Path, head: &[u8]) -> String {
         head if head.starts_with(b"\x04\x22\x4d\x18") => unpack("lz4", "lz4 -d"),
         head if head.starts_with(b"PK\x03\x04") => unpack("zip", "unzip"),
         head if head.starts_with(&ZSTD) => unpack("zstd twice", "zstd -d"),
-        head => format!("a file that begins with {:02x?}; the copy may have failed", &head[..head.len().min(5)]),
+        head => format!(
+            "a file that begins with {:02x?}; the copy may have failed",
+            &head[..head.len().min(5)]
+        ),
     }
 }

@@ -120,7 +120,8 @@ pub(crate) fn unpack_file(path: &Path) -> Result<(NamedTempFile, Option<String>)
         };
         written += read as u64;
         if written > most {
-            let reason = format!("{size} bytes unpack to more than the {most} that are believed; unpack it yourself: `zstd -d`");
+            let reason =
+                format!("{size} bytes unpack to more than the {most} that are believed; unpack it yourself: `zstd -d`");
             return Err(BagError::content(path, reason));
         }
         let temporary = unpacked.path().to_path_buf();

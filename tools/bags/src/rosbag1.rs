@@ -183,7 +183,9 @@ impl Scan {
             return Ok(Err(reason));
         }
         if !matches!(head.op, Op::Index | Op::Connection) {
-            self.file.seek_relative(length as i64).map_err(BagError::io(&self.path))?;
+            self.file
+                .seek_relative(length as i64)
+                .map_err(BagError::io(&self.path))?;
         }
         self.at = end;
         Ok(Ok(()))
@@ -206,7 +208,10 @@ impl Scan {
         };
         let left = self.size - *at;
         if length > left.min(most) {
-            return Ok(Err(format!("has {length} bytes, at most {} can be there", left.min(most))));
+            return Ok(Err(format!(
+                "has {length} bytes, at most {} can be there",
+                left.min(most)
+            )));
         }
         let mut bytes = vec![0; length as usize];
         self.file.read_exact(&mut bytes).map_err(BagError::io(&self.path))?;
@@ -253,7 +258,9 @@ impl Scan {
 
     fn index(&mut self, head: &Head, data: &[u8]) -> Result<(), String> {
         let (connection, version) = (head.u32("conn")?, head.u32("ver")?);
-        let Some(chunk) = self.chunks.last_mut() else { return Ok(()) };
+        let Some(chunk) = self.chunks.last_mut() else {
+            return Ok(());
+        };
         if version != 1 {
             return Err(format!("an index whose `ver` is {version}, expected 1"));
         }
@@ -293,7 +300,9 @@ impl Scan {
                     _ => String::new(),
                 }
             )),
-            (None, false) => notes.push("it was not closed: its last messages may be missing (`rosbag reindex` closes it)".into()),
+            (None, false) => {
+                notes.push("it was not closed: its last messages may be missing (`rosbag reindex` closes it)".into())
+            }
             (None, true) => {}
         }
         let is_unknown = |chunk: &Chunk, known: &BTreeMap<u32, (String, String)>| match &chunk.counts {
@@ -306,7 +315,10 @@ impl Scan {
                 && let Err(reason) = self.look_into(place)?
             {
                 damaged.push(place);
-                notes.push(format!("a chunk at byte {} is lost: {reason}", self.chunks[place].offset));
+                notes.push(format!(
+                    "a chunk at byte {} is lost: {reason}",
+                    self.chunks[place].offset
+                ));
             }
         }
         for place in damaged.into_iter().rev() {
@@ -315,7 +327,9 @@ impl Scan {
         let mut connections: Vec<Connection> = Vec::new();
         let mut known = BTreeMap::new();
         for (id, (topic, kind)) in &self.known {
-            let place = connections.iter().position(|other| other.topic == *topic && other.kind == *kind);
+            let place = connections
+                .iter()
+                .position(|other| other.topic == *topic && other.kind == *kind);
             let place = place.unwrap_or_else(|| {
                 connections.push(Connection {
                     topic: topic.clone(),

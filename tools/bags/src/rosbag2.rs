@@ -27,6 +27,19 @@ struct Information {
     relative_file_paths: Vec<String>,
     compression_format: Option<String>,
     message_count: u64,
+    topics_with_message_count: Vec<Topic>,
+}
+
+#[derive(Deserialize)]
+struct Topic {
+    topic_metadata: TopicMetadata,
+}
+
+#[derive(Default, Deserialize)]
+#[serde(default)]
+struct TopicMetadata {
+    name: String,
+    serialization_format: String,
 }
 
 /// An open folder of ROS 2.
@@ -57,18 +70,38 @@ impl Rosbag2 {
         let files = match &information {
             Some(information) => named(dir, &metadata, information)?,
             None => {
-                notes.push(format!("there is no {METADATA}, so nothing says whether a part is missing"));
+                notes.push(format!(
+                    "there is no {METADATA}, so nothing says whether a part is missing"
+                ));
                 found(dir)?
             }
         };
         if files.is_empty() {
-            let reason = format!("expected the folder of a bag of ROS 2 ({METADATA} and parts `.db3` or `.mcap`), found no part");
+            let reason = format!(
+                "expected the folder of a bag of ROS 2 ({METADATA} and parts `.db3` or `.mcap`), found no part"
+            );
             return Err(BagError::content(dir, reason));
         }
         let (mut parts, mut connections) = (Vec::new(), Vec::<Connection>::new());
         for file in &files {
             let part = part(file, &mut connections, &mut notes)?;
             parts.push(part);
+        }
+        // Files say `cdr` whatever the recorder wrote.
+        let topics = information
+            .iter()
+            .flat_map(|information| &information.topics_with_message_count);
+        for TopicMetadata {
+            name,
+            serialization_format,
+        } in topics.map(|topic| &topic.topic_metadata)
+        {
+            let of_topic = connections.iter_mut().filter(|connection| connection.topic == *name);
+            of_topic
+                .filter(|_| !serialization_format.is_empty())
+                .for_each(|connection| {
+                    connection.encoding = Encoding::named(serialization_format);
+                });
         }
         let counted: u64 = connections.iter().map(|connection| connection.messages).sum();
         if let Some(information) = information
@@ -112,9 +145,8 @@ fn part(file: &Path, connections: &mut Vec<Connection>, notes: &mut Vec<String>)
     notes.extend(lost.map(|lost| format!("`{name}`: {lost}")));
     let bag = match &unpacked {
         None => open_file(file)?,
-        Some(unpacked) => open_file(unpacked.path()).map_err(|error| {
-            BagError::content(file, format!("what it was unpacked to cannot be read: {error}"))
-        })?,
+        Some(unpacked) => open_file(unpacked.path())
+            .map_err(|error| BagError::content(file, format!("what it was unpacked to cannot be read: {error}")))?,
     };
     notes.extend(bag.notes().iter().map(|note| format!("`{name}`: {note}")));
     let place = |connection: &Connection| {
@@ -142,7 +174,10 @@ fn part(file: &Path, connections: &mut Vec<Connection>, notes: &mut Vec<String>)
 fn read(metadata: &Path) -> Result<Information, BagError> {
     let text = realo_documents::read(metadata).map_err(BagError::io(metadata))?;
     let document: Document = realo_documents::yaml(&text).map_err(|reason| {
-        BagError::content(metadata, format!("expected the metadata of a bag of ROS 2: {reason}; `ros2 bag reindex` writes it anew"))
+        BagError::content(
+            metadata,
+            format!("expected the metadata of a bag of ROS 2: {reason}; `ros2 bag reindex` writes it anew"),
+        )
     })?;
     let information = document.rosbag2_bagfile_information;
     match information.compression_format.as_deref() {
@@ -164,7 +199,10 @@ fn named(dir: &Path, metadata: &Path, information: &Information) -> Result<Vec<P
     for listed in &information.relative_file_paths {
         let name = listed.rsplit(['/', '\\']).next().unwrap_or_default();
         let candidates = [dir.join(name), dir.join(format!("{name}.zstd"))];
-        let bare = name.strip_suffix(".zstd").filter(|bare| !bare.is_empty()).map(|bare| dir.join(bare));
+        let bare = name
+            .strip_suffix(".zstd")
+            .filter(|bare| !bare.is_empty())
+            .map(|bare| dir.join(bare));
         match candidates.into_iter().chain(bare).find(|file| file.is_file()) {
             Some(file) => files.push(file),
             None => missing.push(format!("`{}`", listed.escape_debug())),
@@ -223,7 +261,10 @@ impl Bag for Rosbag2 {
 
     fn span(&self) -> Option<[Nanos; 2]> {
         let spans = || self.parts.iter().filter_map(|part| part.bag.span());
-        Some([spans().map(|[first, _]| first).min()?, spans().map(|[_, last]| last).max()?])
+        Some([
+            spans().map(|[first, _]| first).min()?,
+            spans().map(|[_, last]| last).max()?,
+        ])
     }
 
     fn notes(&self) -> &[String] {
@@ -258,7 +299,11 @@ impl Merged<'_> {
             }
             let place = self.next;
             self.next += 1;
-            let wanted = part.places.iter().enumerate().filter(|(_, place)| self.wanted.contains(place));
+            let wanted = part
+                .places
+                .iter()
+                .enumerate()
+                .filter(|(_, place)| self.wanted.contains(place));
             let mut messages = part.bag.messages(&wanted.map(|(own, _)| own).collect())?;
             if let Some(message) = messages.next()? {
                 self.open.push((message, place, messages));
@@ -271,7 +316,11 @@ impl Merged<'_> {
 impl Messages for Merged<'_> {
     fn next(&mut self) -> Result<Option<Message>, BagError> {
         self.open_until()?;
-        let soonest = self.open.iter().enumerate().min_by_key(|(_, (message, place, _))| (message.log_time, *place));
+        let soonest = self
+            .open
+            .iter()
+            .enumerate()
+            .min_by_key(|(_, (message, place, _))| (message.log_time, *place));
         let Some((place, _)) = soonest else { return Ok(None) };
         let (message, part, messages) = &mut self.open[place];
         let part = &self.folder.parts[*part];
@@ -282,13 +331,17 @@ impl Messages for Merged<'_> {
         };
         let connection = part.places[taken.connection];
         taken.connection = connection;
-        let is_packed = self.folder.connections[connection].encoding == Encoding::Cdr && taken.data().starts_with(&ZSTD);
+        let is_packed =
+            self.folder.connections[connection].encoding == Encoding::Cdr && taken.data().starts_with(&ZSTD);
         match is_packed {
             false => Ok(Some(taken)),
             true => {
                 let data = unpack_message(taken.data()).map_err(|reason| {
                     let topic = &self.folder.connections[connection].topic;
-                    let reason = format!("a message on `{topic}` at {} ns: {reason}; fetch the file anew", taken.log_time);
+                    let reason = format!(
+                        "a message on `{topic}` at {} ns: {reason}; fetch the file anew",
+                        taken.log_time
+                    );
                     BagError::content(&self.folder.path, reason)
                 })?;
                 Ok(Some(Message::owned(connection, taken.log_time, data)))

@@ -60,7 +60,12 @@ impl Database {
         let mut file = File::open(path).map_err(BagError::io(path))?;
         let size = file.metadata().map_err(BagError::io(path))?.len();
         let mut head = [0; FILE_HEAD];
-        let wrong = |reason: &str| BagError::content(path, format!("expected an SQLite database, found {reason}; fetch it anew"));
+        let wrong = |reason: &str| {
+            BagError::content(
+                path,
+                format!("expected an SQLite database, found {reason}; fetch it anew"),
+            )
+        };
         if size < FILE_HEAD as u64 {
             return Err(wrong("less than its head"));
         }
@@ -103,7 +108,13 @@ impl Database {
         self.scan(&schema, &mut |place, _| places.push(place))?;
         for place in places {
             let row = self.read(place)?;
-            if let [Value::Text(kind), Value::Text(table), _, Value::Integer(root), Value::Text(sql)] = &row[..]
+            if let [
+                Value::Text(kind),
+                Value::Text(table),
+                _,
+                Value::Integer(root),
+                Value::Text(sql),
+            ] = &row[..]
                 && kind == "table"
                 && table == name
             {
@@ -116,7 +127,10 @@ impl Database {
     }
 
     fn damaged(&self, reason: impl std::fmt::Display) -> BagError {
-        BagError::content(&self.path, format!("a damaged database: {reason}; fetch it anew, or try `sqlite3 FILE .recover`"))
+        BagError::content(
+            &self.path,
+            format!("a damaged database: {reason}; fetch it anew, or try `sqlite3 FILE .recover`"),
+        )
     }
 
     fn page(&mut self, number: u32) -> Result<Vec<u8>, BagError> {
@@ -188,7 +202,9 @@ impl Database {
         let wrong = || format!("cell {cell} goes beyond its page");
         let pointer = head + 8 + 2 * usize::from(cell);
         let at = page.get(pointer..pointer + 2).ok_or_else(wrong)?;
-        let mut rest = page.get(usize::from(u16::from_be_bytes([at[0], at[1]]))..).ok_or_else(wrong)?;
+        let mut rest = page
+            .get(usize::from(u16::from_be_bytes([at[0], at[1]]))..)
+            .ok_or_else(wrong)?;
         let length = varint(&mut rest).ok_or_else(wrong)?;
         let rowid = varint(&mut rest).ok_or_else(wrong)?;
         let length = usize::try_from(length).map_err(|_| wrong())?;
@@ -224,7 +240,9 @@ impl Database {
     pub fn read(&mut self, place: Place) -> Result<Vec<Value>, BagError> {
         let page = self.page(place.page)?;
         let head = if place.page == 1 { FILE_HEAD } else { 0 };
-        let cell = self.cell(&page, head, place.cell).map_err(|reason| self.damaged(reason))?;
+        let cell = self
+            .cell(&page, head, place.cell)
+            .map_err(|reason| self.damaged(reason))?;
         let (rowid, length, mut next) = (cell.rowid, cell.length, cell.overflow);
         let mut payload = cell.local.to_vec();
         // Each page adds bytes, and the row is no longer than the file: this ends.

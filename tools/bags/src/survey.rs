@@ -91,7 +91,11 @@ pub fn survey(bag: &dyn Bag) -> Result<Survey, BagError> {
             ..TopicSurvey::default()
         };
         if let Some(kind) = Kind::named(&connection.kind) {
-            let most = if kind == Kind::Transforms { TRANSFORMS } else { LOOKED_AT };
+            let most = if kind == Kind::Transforms {
+                TRANSFORMS
+            } else {
+                LOOKED_AT
+            };
             let mut messages = bag.messages(&BTreeSet::from([place]))?;
             let mut times = Vec::new();
             for _ in 0..most {
@@ -118,7 +122,9 @@ pub fn survey(bag: &dyn Bag) -> Result<Survey, BagError> {
         }
         found.topics.push(topic);
     }
-    found.topics.sort_by(|a, b| (&a.kind, &a.topic).cmp(&(&b.kind, &b.topic)));
+    found
+        .topics
+        .sort_by(|a, b| (&a.kind, &a.topic).cmp(&(&b.kind, &b.topic)));
     Ok(found)
 }
 
@@ -175,7 +181,9 @@ pub fn is_static(topic: &str) -> bool {
 impl Survey {
     /// Topics of a type.
     pub fn of_kind(&self, kind: Kind) -> impl Iterator<Item = &TopicSurvey> {
-        self.topics.iter().filter(move |topic| Kind::named(&topic.kind) == Some(kind))
+        self.topics
+            .iter()
+            .filter(move |topic| Kind::named(&topic.kind) == Some(kind))
     }
 
     /// The frame to which a frame is fixed, and which is fixed to no other.
@@ -189,8 +197,11 @@ impl Survey {
     }
 
     fn climb(&self, frame: &str, only_static: bool) -> String {
-        let parents: BTreeMap<&str, (&str, bool)> =
-            self.frames.parents().map(|(child, parent, fixed)| (child, (parent, fixed))).collect();
+        let parents: BTreeMap<&str, (&str, bool)> = self
+            .frames
+            .parents()
+            .map(|(child, parent, fixed)| (child, (parent, fixed)))
+            .collect();
         let mut at = frame;
         for _ in 0..parents.len() {
             match parents.get(at) {
@@ -227,7 +238,11 @@ impl fmt::Display for Survey {
         for topic in &self.topics {
             if kind.replace(&topic.kind) != Some(&topic.kind) {
                 let name = if topic.kind.is_empty() { "no type" } else { &topic.kind };
-                let read = if Kind::named(&topic.kind).is_some() { "" } else { " (not read)" };
+                let read = if Kind::named(&topic.kind).is_some() {
+                    ""
+                } else {
+                    " (not read)"
+                };
                 write!(f, "\n  {}{read}", name.escape_debug())?;
             }
             write!(f, "\n    {topic}")?;

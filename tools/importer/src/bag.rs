@@ -89,7 +89,11 @@ impl Bags {
         let wanted = &self.options.agents;
         if let Some(name) = wanted.iter().find(|name| !map.agents.contains_key(*name)) {
             let has: Vec<&str> = map.agents.keys().map(String::as_str).collect();
-            let reason = format!("--agents: there is no agent `{}`; there are {}", crate::shown(name), has.join(", "));
+            let reason = format!(
+                "--agents: there is no agent `{}`; there are {}",
+                crate::shown(name),
+                has.join(", ")
+            );
             return Err(ImportError::Option(reason));
         }
         if !wanted.is_empty() {
@@ -107,7 +111,11 @@ impl Counted {
     /// Counts a fault. What was found differs from message to message, so faults of a topic are one after a few.
     fn add(&mut self, topic: &str, reason: String) {
         const KEPT: usize = 3;
-        let of_topic = self.0.keys().filter(|known| known.starts_with(&format!("{topic}: "))).count();
+        let of_topic = self
+            .0
+            .keys()
+            .filter(|known| known.starts_with(&format!("{topic}: ")))
+            .count();
         let line = format!("{topic}: {reason}");
         let line = match self.0.contains_key(&line) || of_topic < KEPT {
             true => line,

@@ -176,7 +176,12 @@ pub fn markers<'a>(begin: impl Fn() -> Result<CdrReader<'a>, CdrError>) -> Resul
         has_texture,
         has_mesh_file,
     };
-    let forms = [form(true, true), form(true, false), form(false, false), form(false, true)];
+    let forms = [
+        form(true, true),
+        form(true, false),
+        form(false, false),
+        form(false, true),
+    ];
     whole("MarkerArray", &begin, &forms, |input, form| {
         let (mut stamp, mut objects) = (0, Vec::new());
         for _ in 0..input.length(100)? {
@@ -256,13 +261,19 @@ mod tests {
         let found = detections(|| CdrReader::any_cdr(&payload)).unwrap();
         assert_eq!((found.stamp, found.objects.len()), (42, 2));
         let object = &found.objects[0];
-        assert_eq!((object.class.as_str(), object.track.as_str(), object.size), ("car", "7", [4.5, 1.8, 1.6]));
+        assert_eq!(
+            (object.class.as_str(), object.track.as_str(), object.size),
+            ("car", "7", [4.5, 1.8, 1.6])
+        );
         assert!((object.frame_from_object.translation.vector.x - 10.0).abs() < 1e-12);
         let mut payload = Vec::new();
         encode_markers(&mut payload, 42, "map", "truth", &[car()]);
         let found = markers(|| CdrReader::any_cdr(&payload)).unwrap();
         assert_eq!((found.stamp, found.objects.len()), (42, 1), "what deletes is no object");
-        assert_eq!((found.objects[0].class.as_str(), found.objects[0].track.as_str()), ("car", "0"));
+        assert_eq!(
+            (found.objects[0].class.as_str(), found.objects[0].track.as_str()),
+            ("car", "0")
+        );
         for cut in 0..payload.len() - 4 {
             assert!(markers(|| CdrReader::any_cdr(&payload[..cut])).is_err(), "{cut}");
         }
@@ -270,11 +281,17 @@ mod tests {
 
     /// A `Detection3DArray` of ROS 1: numbers as classes, a cloud behind the box.
     fn of_ros1(tracking: bool) -> Vec<u8> {
-        let text = |text: &str| [&(text.len() as u32).to_le_bytes(), text.as_bytes()].concat();
+        let text = |text: &str| [&(text.len() as u32).to_le_bytes()[..], text.as_bytes()].concat();
         let header = |stamp: u32| [&[0; 4][..], &stamp.to_le_bytes(), &[0; 4], &text("map")].concat();
         let doubles = |numbers: &[f64]| numbers.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
         let identity = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0];
-        let mut bytes = [header(5), 1u32.to_le_bytes().into(), header(5), 1u32.to_le_bytes().into()].concat();
+        let mut bytes = [
+            header(5),
+            1u32.to_le_bytes().into(),
+            header(5),
+            1u32.to_le_bytes().into(),
+        ]
+        .concat();
         bytes.extend(3i64.to_le_bytes());
         bytes.extend(doubles(&[0.5]));
         bytes.extend(doubles(&identity));
@@ -296,7 +313,10 @@ mod tests {
             let bytes = of_ros1(tracking);
             let found = detections(|| Ok(CdrReader::ros1(&bytes))).unwrap();
             let object = &found.objects[0];
-            assert_eq!((object.class.as_str(), object.track.as_str(), object.score), ("3", track, 0.5));
+            assert_eq!(
+                (object.class.as_str(), object.track.as_str(), object.score),
+                ("3", track, 0.5)
+            );
             assert_eq!(object.size, [4.0, 2.0, 1.5]);
             let error = detections(|| Ok(CdrReader::ros1(&bytes[..bytes.len() - 1]))).unwrap_err();
             assert!(error.contains("no known form of Detection3DArray"), "{error}");

@@ -108,7 +108,12 @@ fn one(bytes: &[u8], at: usize) -> Result<(Head<'_>, Range<usize>), String> {
 
 fn block(bytes: &[u8], at: usize) -> Result<Range<usize>, String> {
     let rest = bytes.get(at..).unwrap_or_default();
-    let wrong = || format!("a record at byte {at} of a chunk of {} bytes goes beyond it", bytes.len());
+    let wrong = || {
+        format!(
+            "a record at byte {at} of a chunk of {} bytes goes beyond it",
+            bytes.len()
+        )
+    };
     let (length, rest) = rest.split_first_chunk::<4>().ok_or_else(wrong)?;
     let length = u32::from_le_bytes(*length) as usize;
     match length <= rest.len() {

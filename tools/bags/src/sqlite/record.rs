@@ -34,7 +34,9 @@ pub fn varint(bytes: &mut &[u8]) -> Option<i64> {
 pub fn values(payload: &[u8], length: usize) -> Result<Vec<Value>, String> {
     let wrong = || "the head of a row goes beyond it".to_string();
     let mut head = payload;
-    let head_length = varint(&mut head).and_then(|length| usize::try_from(length).ok()).ok_or_else(wrong)?;
+    let head_length = varint(&mut head)
+        .and_then(|length| usize::try_from(length).ok())
+        .ok_or_else(wrong)?;
     if head_length > payload.len() || head_length < payload.len() - head.len() {
         return Err(wrong());
     }
@@ -50,9 +52,10 @@ pub fn values(payload: &[u8], length: usize) -> Result<Vec<Value>, String> {
             12.. => usize::try_from((kind - 12) / 2).map_err(|_| wrong())?,
             _ => return Err(wrong()),
         };
-        let end = at.checked_add(size).filter(|end| *end <= length).ok_or_else(|| {
-            format!("a value of {size} bytes in a row of {length}")
-        })?;
+        let end = at
+            .checked_add(size)
+            .filter(|end| *end <= length)
+            .ok_or_else(|| format!("a value of {size} bytes in a row of {length}"))?;
         values.push(match payload.get(at..end) {
             None => Value::Elsewhere,
             Some(bytes) => value(kind, bytes),

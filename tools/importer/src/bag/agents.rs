@@ -26,6 +26,15 @@ pub struct Agent {
     pub detections: Option<Topic>,
 }
 
+impl Agent {
+    /// Its topics besides clouds.
+    pub fn small(&self) -> impl Iterator<Item = &Topic> {
+        [&self.pose, &self.imu, &self.truth, &self.detections]
+            .into_iter()
+            .flatten()
+    }
+}
+
 /// A topic of a bag.
 #[derive(Clone, Debug)]
 pub struct Topic {
@@ -61,10 +70,16 @@ pub fn found(bags: &[Box<dyn Bag>], map: &MapFile) -> Result<Vec<Agent>, String>
 fn one(bags: &[Box<dyn Bag>], name: &str, map: &AgentMap) -> Result<Agent, String> {
     let place = bag_of(bags, map)?;
     let bag = bags[place].as_ref();
-    let clouds = map.clouds.iter().map(|cloud| topic(bag, "clouds", cloud, "a PointCloud2", |kind| kind == Kind::PointCloud2));
+    let clouds = map
+        .clouds
+        .iter()
+        .map(|cloud| topic(bag, "clouds", cloud, "a PointCloud2", |kind| kind == Kind::PointCloud2));
     let clouds: Vec<Topic> = clouds.collect::<Result<_, _>>()?;
     let optional = |field, wanted: &Option<String>, what, fits: fn(Kind) -> bool| {
-        wanted.as_ref().map(|wanted| topic(bag, field, wanted, what, fits)).transpose()
+        wanted
+            .as_ref()
+            .map(|wanted| topic(bag, field, wanted, what, fits))
+            .transpose()
     };
     let pose = match &map.pose {
         PoseSource::Topic(wanted) => Some(topic(
@@ -82,14 +97,29 @@ fn one(bags: &[Box<dyn Bag>], name: &str, map: &AgentMap) -> Result<Agent, Strin
         clouds,
         pose,
         imu: optional("imu", &map.imu, "an Imu", |kind| kind == Kind::Imu)?,
-        truth: optional("truth", &map.truth, "a Detection3DArray or MarkerArray", Kind::is_objects)?,
-        detections: optional("detections", &map.detections, "a Detection3DArray or MarkerArray", Kind::is_objects)?,
+        truth: optional(
+            "truth",
+            &map.truth,
+            "a Detection3DArray or MarkerArray",
+            Kind::is_objects,
+        )?,
+        detections: optional(
+            "detections",
+            &map.detections,
+            "a Detection3DArray or MarkerArray",
+            Kind::is_objects,
+        )?,
         map: map.clone(),
     })
 }
 
 fn bag_of(bags: &[Box<dyn Bag>], map: &AgentMap) -> Result<usize, String> {
-    let has = || bags.iter().map(|bag| format!("`{}`", bag.path().display())).collect::<Vec<_>>().join(", ");
+    let has = || {
+        bags.iter()
+            .map(|bag| format!("`{}`", bag.path().display()))
+            .collect::<Vec<_>>()
+            .join(", ")
+    };
     match (&map.bag, bags) {
         (None, [_]) => Ok(0),
         (None, _) => {
@@ -109,9 +139,9 @@ fn bag_of(bags: &[Box<dyn Bag>], map: &AgentMap) -> Result<usize, String> {
                 path == wanted || path.file_name() == wanted.file_name() || path.file_stem() == Some(wanted.as_os_str())
             };
             let exact = bags.iter().position(|bag| bag.path() == wanted);
-            exact.or_else(|| bags.iter().position(is)).ok_or_else(|| {
-                format!("bag: expected one of {}, found `{}`", has(), wanted.display())
-            })
+            exact
+                .or_else(|| bags.iter().position(is))
+                .ok_or_else(|| format!("bag: expected one of {}, found `{}`", has(), wanted.display()))
         }
     }
 }
@@ -119,7 +149,9 @@ fn bag_of(bags: &[Box<dyn Bag>], map: &AgentMap) -> Result<usize, String> {
 fn topic(bag: &dyn Bag, field: &str, wanted: &str, what: &str, fits: impl Fn(Kind) -> bool) -> Result<Topic, String> {
     let bare = |topic: &str| topic.trim_start_matches('/').to_string();
     let found = bag.connections().iter().enumerate();
-    let mut named = found.filter(|(_, connection)| bare(&connection.topic) == bare(wanted)).peekable();
+    let mut named = found
+        .filter(|(_, connection)| bare(&connection.topic) == bare(wanted))
+        .peekable();
     let wanted = wanted.escape_debug();
     if named.peek().is_none() {
         let mut has: Vec<String> = bag
@@ -155,5 +187,8 @@ fn topic(bag: &dyn Bag, field: &str, wanted: &str, what: &str, fits: impl Fn(Kin
             None => types.push(found.kind.escape_debug().to_string()),
         }
     }
-    Err(format!("{field}: expected {what}, found `{wanted}` of type {}", types.join(" and ")))
+    Err(format!(
+        "{field}: expected {what}, found `{wanted}` of type {}",
+        types.join(" and ")
+    ))
 }

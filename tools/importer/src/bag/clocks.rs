@@ -38,7 +38,9 @@ pub struct Clocks {
 /// Agents that have no time in common.
 pub fn joined(import: &Import, small: &Small) -> Result<Clocks, ImportError> {
     let mut words = Vec::new();
-    let by_bag: Vec<Option<Nanos>> = (0..import.bags.len()).map(|bag| of_bag(import, small, bag, &mut words)).collect();
+    let by_bag: Vec<Option<Nanos>> = (0..import.bags.len())
+        .map(|bag| of_bag(import, small, bag, &mut words))
+        .collect();
     let behind: Vec<Nanos> = (0..import.agents.len()).map(|agent| behind(small, agent)).collect();
     let is_other = |agent: usize| behind[agent].abs() > ONE_CLOCK;
     let span = |agent: usize| {
@@ -49,7 +51,9 @@ pub fn joined(import: &Import, small: &Small) -> Result<Clocks, ImportError> {
     };
     let overlap = |a: [Nanos; 2], b: [Nanos; 2]| a[0] <= b[1] && b[0] <= a[1];
     let spans: Vec<[Nanos; 2]> = (0..import.agents.len()).map(span).collect();
-    let apart = spans.iter().any(|span| spans.iter().any(|other| !overlap(*span, *other)));
+    let apart = spans
+        .iter()
+        .any(|span| spans.iter().any(|other| !overlap(*span, *other)));
     let mut agents = Vec::new();
     for (place, agent) in import.agents.iter().enumerate() {
         let name = &agent.name;
@@ -76,14 +80,21 @@ pub fn joined(import: &Import, small: &Small) -> Result<Clocks, ImportError> {
             ready: stamp.saturating_sub(own),
         });
     }
-    let moved: Vec<[Nanos; 2]> =
-        spans.iter().zip(&agents).map(|(span, clock)| span.map(|time| time.saturating_add(clock.stamp))).collect();
+    let moved: Vec<[Nanos; 2]> = spans
+        .iter()
+        .zip(&agents)
+        .map(|(span, clock)| span.map(|time| time.saturating_add(clock.stamp)))
+        .collect();
     for (place, span) in moved.iter().enumerate() {
         if let Some(other) = moved[..place].iter().position(|other| !overlap(*other, *span)) {
             let [a, b] = [other, place].map(|agent| {
                 let [first, last] = moved[agent];
                 let name = &import.agents[agent].name;
-                format!("`{name}` has sweeps from {:.3} to {:.3} s", to_seconds(first), to_seconds(last))
+                format!(
+                    "`{name}` has sweeps from {:.3} to {:.3} s",
+                    to_seconds(first),
+                    to_seconds(last)
+                )
             });
             let path: &Path = import.bags[import.agents[place].bag].path();
             let reason = format!(
@@ -105,7 +116,12 @@ pub fn joined(import: &Import, small: &Small) -> Result<Clocks, ImportError> {
 /// Log time less stamp of the quickest of an agent's first clouds, ns.
 fn behind(small: &Small, agent: usize) -> Nanos {
     let heads = small.agents[agent].heads.iter();
-    let behind = heads.flat_map(|heads| heads.stamps.iter().map(|[stamp, log_time]| log_time.saturating_sub(*stamp)));
+    let behind = heads.flat_map(|heads| {
+        heads
+            .stamps
+            .iter()
+            .map(|[stamp, log_time]| log_time.saturating_sub(*stamp))
+    });
     behind.min().unwrap_or(0)
 }
 

@@ -52,12 +52,16 @@ pub fn heads(import: &Import, agent: &Agent, topic: &Topic) -> Result<Heads, Imp
     }
     let wrong = |reason: String| ImportError::content(bag.path(), format!("topic `{}`: {reason}", topic.name));
     if looked.is_empty() {
-        return Err(wrong("expected clouds, found no message; name another topic in the map file".into()));
+        return Err(wrong(
+            "expected clouds, found no message; name another topic in the map file".into(),
+        ));
     }
     let (mut looks, mut brightest, mut stamps) = (Vec::<Look>::new(), 0f32, Vec::new());
     let mut reason = None;
     for message in &looked {
-        let read = connection.reader(message.data()).and_then(|mut input| CloudReader::read(&mut input));
+        let read = connection
+            .reader(message.data())
+            .and_then(|mut input| CloudReader::read(&mut input));
         match read {
             Ok(mut reader) => {
                 reader.stamp = stamp_of(import.map.clock, reader.stamp, message.log_time);
@@ -70,7 +74,9 @@ pub fn heads(import: &Import, agent: &Agent, topic: &Topic) -> Result<Heads, Imp
     }
     let mut found: Option<Heads> = None;
     for message in &looked {
-        let read = connection.reader(message.data()).and_then(|mut input| CloudReader::read(&mut input));
+        let read = connection
+            .reader(message.data())
+            .and_then(|mut input| CloudReader::read(&mut input));
         let Ok(mut reader) = read else { continue };
         reader.stamp = stamp_of(import.map.clock, reader.stamp, message.log_time);
         let heads = match &mut found {
@@ -105,5 +111,10 @@ pub fn heads(import: &Import, agent: &Agent, topic: &Topic) -> Result<Heads, Imp
             heads.first.push((reader.stamp, bare(reader.frame).into(), cloud));
         }
     }
-    found.ok_or_else(|| wrong(format!("its first clouds cannot be read: {}", reason.unwrap_or_default())))
+    found.ok_or_else(|| {
+        wrong(format!(
+            "its first clouds cannot be read: {}",
+            reason.unwrap_or_default()
+        ))
+    })
 }

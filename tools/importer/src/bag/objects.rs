@@ -93,10 +93,13 @@ impl Timeline {
             && (*t0..=*t1).contains(&stamp)
             && t1 - t0 <= BRIDGED
         {
-            let by_track: BTreeMap<&str, &Placed> = b.iter().map(|placed| (placed.object.track.as_str(), placed)).collect();
+            let by_track: BTreeMap<&str, &Placed> =
+                b.iter().map(|placed| (placed.object.track.as_str(), placed)).collect();
             let share = to_seconds(stamp - t0) / to_seconds(t1 - t0);
             let between = |placed: &Placed| {
-                let later = by_track.get(placed.object.track.as_str()).filter(|_| !placed.object.track.is_empty())?;
+                let later = by_track
+                    .get(placed.object.track.as_str())
+                    .filter(|_| !placed.object.track.is_empty())?;
                 Some(Placed {
                     world_from_object: interpolate(&placed.world_from_object, &later.world_from_object, share),
                     object: placed.object.clone(),

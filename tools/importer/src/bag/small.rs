@@ -8,6 +8,7 @@ use realo_bags::{Bag, Connection, Message, is_static};
 use realo_logs::Frames;
 use realo_schemas::Nanos;
 
+use super::agents::{Agent, Topic};
 use super::heads::{Heads, heads};
 use super::{Counted, Import};
 use crate::ImportError;
@@ -72,12 +73,12 @@ pub fn read(import: &Import, report: &mut dyn FnMut(&'static str, u64, u64)) -> 
         agents: import.agents.iter().map(|_| AgentSmall::default()).collect(),
         faults: Counted::default(),
     };
-    let all = import.bags.iter().flat_map(|bag| wanted(import, bag.as_ref()));
+    let all = (0..import.bags.len()).flat_map(|bag| wanted(import, bag));
     let all: u64 = all.map(|(_, count)| count).sum();
     let mut done = 0;
     for (place, bag) in import.bags.iter().enumerate() {
         small.bags.push(BagSmall::default());
-        let wanted: BTreeSet<usize> = wanted(import, bag.as_ref()).map(|(connection, _)| connection).collect();
+        let wanted: BTreeSet<usize> = wanted(import, place).map(|(connection, _)| connection).collect();
         let mut messages = bag.messages(&wanted)?;
         while let Some(message) = messages.next()? {
             done += 1;
@@ -99,23 +100,31 @@ pub fn read(import: &Import, report: &mut dyn FnMut(&'static str, u64, u64)) -> 
 }
 
 /// Connections that are read whole, with how many messages each has.
-fn wanted<'a>(import: &'a Import, bag: &'a dyn Bag) -> impl Iterator<Item = (usize, u64)> + 'a {
-    let compare = import.bags.len() > 1;
-    bag.connections().iter().enumerate().filter_map(move |(place, connection)| {
+fn wanted(import: &Import, bag: usize) -> impl Iterator<Item = (usize, u64)> {
+    let agents = move || import.agents.iter().filter(move |agent| agent.bag == bag);
+    let connections = import.bags[bag].connections().iter().enumerate();
+    connections.filter_map(move |(place, connection)| {
         let is_small = match Kind::named(&connection.kind) {
             Some(Kind::PointCloud2) => false,
-            Some(_) => true,
-            // Whatever both bags recorded compares their clocks.
-            None => compare && is_in_all(import, connection),
+            Some(Kind::Transforms | Kind::TimeReference) => true,
+            _ => {
+                let is_used = agents().flat_map(Agent::small).any(|topic| topic.connection == place);
+                // Whatever both bags recorded compares their clocks.
+                is_used || (import.bags.len() > 1 && is_in_all(import, connection))
+            }
         };
         is_small.then_some((place, connection.messages))
     })
 }
 
 fn is_in_all(import: &Import, connection: &Connection) -> bool {
-    let is_image = ["Image", "Cloud", "Scan", "Packet"].iter().any(|word| connection.kind.contains(word));
+    let is_image = ["Image", "Cloud", "Scan", "Packet"]
+        .iter()
+        .any(|word| connection.kind.contains(word));
     let has = |bag: &dyn Bag| {
-        bag.connections().iter().any(|other| other.topic == connection.topic && other.kind == connection.kind)
+        bag.connections()
+            .iter()
+            .any(|other| other.topic == connection.topic && other.kind == connection.kind)
     };
     !is_image && import.bags.iter().all(|bag| has(bag.as_ref()))
 }
@@ -135,14 +144,18 @@ impl Small {
             StampClock::Header if stamp != 0 => stamp,
             _ => message.log_time,
         };
-        let Some(kind) = Kind::named(&connection.kind) else { return Ok(()) };
+        let Some(kind) = Kind::named(&connection.kind) else {
+            return Ok(());
+        };
         match kind {
             Kind::Transforms => {
                 let fixed = is_static(&connection.topic);
                 let (transforms, wrong) = messages::transforms(&mut begin()?)?;
                 for t in transforms {
                     let stamp = stamped(t.stamp);
-                    known.frames.insert(fixed, stamp, &t.parent, &t.child, t.parent_from_child);
+                    known
+                        .frames
+                        .insert(fixed, stamp, &t.parent, &t.child, t.parent_from_child);
                     if !fixed {
                         known.moving.entry(stamp).or_insert(message.log_time);
                     }
@@ -159,9 +172,16 @@ impl Small {
             }
             _ => {}
         }
-        for (agent, small) in import.agents.iter().zip(&mut self.agents).filter(|(agent, _)| agent.bag == bag) {
-            let is = |topic: &Option<super::agents::Topic>| {
-                topic.as_ref().is_some_and(|topic| topic.connection == message.connection)
+        for (agent, small) in import
+            .agents
+            .iter()
+            .zip(&mut self.agents)
+            .filter(|(agent, _)| agent.bag == bag)
+        {
+            let is = |topic: &Option<Topic>| {
+                topic
+                    .as_ref()
+                    .is_some_and(|topic| topic.connection == message.connection)
             };
             let log_time = message.log_time;
             if is(&agent.pose) && kind == Kind::NavSatFix {
@@ -200,5 +220,7 @@ impl Small {
 /// FNV-1a of 64 bits.
 fn hash(topic: &str, data: &[u8]) -> u64 {
     let bytes = topic.bytes().chain([0]).chain(data.iter().copied());
-    bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3))
+    bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+    })
 }

@@ -83,15 +83,27 @@ impl fmt::Display for BagSummary {
                 poses,
                 ..
             } = agent;
-            write!(f, "\n`{name}`: {sweeps} sweeps of {}, {points} points, {poses} poses", agent.clouds)?;
+            write!(
+                f,
+                "\n`{name}`: {sweeps} sweeps of {}, {points} points, {poses} poses",
+                agent.clouds
+            )?;
             if agent.truths > 0 {
-                write!(f, ", {} sweeps with truth ({} moved to their time)", agent.truths, agent.moved_truths)?;
+                write!(
+                    f,
+                    ", {} sweeps with truth ({} moved to their time)",
+                    agent.truths, agent.moved_truths
+                )?;
             }
             if agent.detections > 0 {
                 write!(f, ", {} sweeps with detections", agent.detections)?;
             }
             write!(f, "\n  poses: {}", agent.pose_words)?;
-            write!(f, "\n  frame {:.2} m over the ground; times: {}", agent.height_m, agent.times)?;
+            write!(
+                f,
+                "\n  frame {:.2} m over the ground; times: {}",
+                agent.height_m, agent.times
+            )?;
             write!(f, "\n  intensities: {}", agent.intensities)?;
         }
         for clock in &self.clocks {
@@ -99,7 +111,10 @@ impl fmt::Display for BagSummary {
         }
         let classes: Vec<String> = self.classes.iter().map(|(class, n)| format!("{n} {class}")).collect();
         match classes.is_empty() {
-            true => write!(f, "\nno truth: a run reports rates, ages, bytes and boxes, and no score")?,
+            true => write!(
+                f,
+                "\nno truth: a run reports rates, ages, bytes and boxes, and no score"
+            )?,
             false => write!(f, "\ntruth: {}", classes.join(", "))?,
         }
         for residual in &self.residuals {
@@ -107,8 +122,13 @@ impl fmt::Display for BagSummary {
         }
         if self.limited_intensities > 0 {
             let limited = self.limited_intensities;
-            write!(f, "\nlimited: {limited} intensities below 0 or brighter than those of the first sweeps")?;
+            write!(
+                f,
+                "\nlimited: {limited} intensities below 0 or brighter than those of the first sweeps"
+            )?;
         }
-        self.left_out.iter().try_for_each(|(reason, n)| write!(f, "\nleft out: {n} × {reason}"))
+        self.left_out
+            .iter()
+            .try_for_each(|(reason, n)| write!(f, "\nleft out: {n} × {reason}"))
     }
 }

@@ -94,7 +94,9 @@ impl<'a> Sweeps<'a> {
     pub fn next(&mut self, faults: &mut Counted) -> Result<Option<Sweep>, ImportError> {
         loop {
             if let Some(first) = self.waiting.front() {
-                let has_all = self.others[1..].iter().all(|clouds| clouds.back().is_some_and(|cloud| cloud.stamp >= first.stamp));
+                let has_all = self.others[1..]
+                    .iter()
+                    .all(|clouds| clouds.back().is_some_and(|cloud| cloud.stamp >= first.stamp));
                 if has_all || self.has_ended || self.waiting.len() > WAITING {
                     let sweep = self.waiting.pop_front();
                     return Ok(sweep.map(|sweep| self.joined(sweep)));
@@ -112,7 +114,11 @@ impl<'a> Sweeps<'a> {
             return Ok(());
         };
         self.read += 1;
-        let topic = self.agent.clouds.iter().position(|topic| topic.connection == message.connection);
+        let topic = self
+            .agent
+            .clouds
+            .iter()
+            .position(|topic| topic.connection == message.connection);
         let topic = topic.expect("only topics of clouds are read");
         let connection = &self.import.bags[self.agent.bag].connections()[message.connection];
         let read = connection
@@ -159,7 +165,9 @@ impl<'a> Sweeps<'a> {
         let (cloud, limited) = reader.cloud(&reading)?;
         self.limited += limited;
         let end = cloud.time.iter().copied().max().unwrap_or(0).max(0);
-        let ready = log_time.saturating_add(self.clock.ready).max(moved.saturating_add(end.into()));
+        let ready = log_time
+            .saturating_add(self.clock.ready)
+            .max(moved.saturating_add(end.into()));
         Ok(Sweep {
             stamp,
             ready,
@@ -173,7 +181,9 @@ impl<'a> Sweeps<'a> {
     fn joined(&mut self, mut sweep: Sweep) -> Sweep {
         for clouds in &mut self.others[1..] {
             let off = |cloud: &Sweep| cloud.stamp.abs_diff(sweep.stamp);
-            let Some(nearest) = (0..clouds.len()).min_by_key(|place| off(&clouds[*place])) else { continue };
+            let Some(nearest) = (0..clouds.len()).min_by_key(|place| off(&clouds[*place])) else {
+                continue;
+            };
             if off(&clouds[nearest]) > TOGETHER as u64 {
                 continue;
             }
@@ -255,7 +265,9 @@ fn over_ground(
     cloud: &PointCloud,
 ) -> Result<f64, String> {
     let frame_from_lidar = mount(agent, frames, sensor, stamp)?;
-    let level: UnitQuaternion<f64> = track.at(stamp).map_or_else(UnitQuaternion::identity, |pose| level_from_body(&pose.rotation));
+    let level: UnitQuaternion<f64> = track
+        .at(stamp)
+        .map_or_else(UnitQuaternion::identity, |pose| level_from_body(&pose.rotation));
     let turn = level * frame_from_lidar.rotation;
     let points = cloud.x.iter().zip(cloud.y.iter()).zip(cloud.z.iter());
     let points = points.map(|((x, y), z)| {

@@ -80,7 +80,9 @@ impl Track {
         let mut steps: Vec<Nanos> = self.poses.array_windows().map(|[(a, ..), (b, ..)]| b - a).collect();
         steps.sort_unstable();
         match steps.get(steps.len() / 2) {
-            Some(step) if *step > SPARSE => format!(", {:.0} ms apart and interpolated at the sweeps", to_millis(*step)),
+            Some(step) if *step > SPARSE => {
+                format!(", {:.0} ms apart and interpolated at the sweeps", to_millis(*step))
+            }
             _ => String::new(),
         }
     }
@@ -135,11 +137,18 @@ pub fn track(
                     true => Ok(Isometry3::identity()),
                     false => way(&bag.frames, world, frame, stamp),
                 };
-                let child = said.child.as_deref().map(bare).filter(|child| *child != bare(&agent.map.frame));
+                let child = said
+                    .child
+                    .as_deref()
+                    .map(bare)
+                    .filter(|child| *child != bare(&agent.map.frame));
                 let child_from_frame = match child {
                     None => Isometry3::identity(),
                     Some(child) => way(&bag.frames, child, &agent.map.frame, stamp).unwrap_or_else(|_| {
-                        words.add(format!("its child `{child}` is taken as `{}`: no transform leads there", agent.map.frame));
+                        words.add(format!(
+                            "its child `{child}` is taken as `{}`: no transform leads there",
+                            agent.map.frame
+                        ));
                         Isometry3::identity()
                     }),
                 };
@@ -156,7 +165,10 @@ pub fn track(
                     ours.poses.iter().map(|pose| bare(&pose.said.frame)).take(100).collect();
                 let frames: Vec<&str> = frames.into_iter().collect();
                 return Err(wrong(match frames[..] {
-                    [] => format!("expected poses on `{}`, found none that can be read; name another topic, or `pose: tf`", topic.name),
+                    [] => format!(
+                        "expected poses on `{}`, found none that can be read; name another topic, or `pose: tf`",
+                        topic.name
+                    ),
                     _ => format!(
                         "its poses are in `{}`, expected the world `{}`, and no transform leads there; write `world: {}` in the map file",
                         frames.join("` and `"),
@@ -228,17 +240,26 @@ fn of_transforms(
     }
     let lost = bag.moving.len() - poses.len();
     if lost > 0 && !poses.is_empty() {
-        faults.add("/tf", format!("no way from `{world}` to `{frame}` at some stamps: {reason}"));
+        faults.add(
+            "/tf",
+            format!("no way from `{world}` to `{frame}` at some stamps: {reason}"),
+        );
     }
     let moves = |poses: &[(Nanos, Nanos, Isometry3<f64>)]| {
         let first = poses[0].2;
-        poses.iter().any(|(.., pose)| (pose.translation.vector - first.translation.vector).norm() > 0.01)
+        poses
+            .iter()
+            .any(|(.., pose)| (pose.translation.vector - first.translation.vector).norm() > 0.01)
     };
     if !poses.is_empty() && moves(&poses) {
         return Ok(Track::moving(poses, words));
     }
     // Where nothing moves, one transform holds at all times.
-    match poses.first().map(|(.., pose)| Ok(*pose)).unwrap_or_else(|| way(&bag.frames, world, frame, first)) {
+    match poses
+        .first()
+        .map(|(.., pose)| Ok(*pose))
+        .unwrap_or_else(|| way(&bag.frames, world, frame, first))
+    {
         Ok(pose) => Ok(Track::fixed(pose, format!("{words}, which stand still"))),
         Err(_) if poses.is_empty() && !bag.moving.is_empty() => Err(format!(
             "expected transforms from the world `{world}` to `{frame}`: {reason}; name a topic of poses as `pose`, or another `world` or `frame`"
@@ -263,12 +284,17 @@ fn of_fixes(
     let frame = &agent.map.frame;
     let mut known: Vec<(Nanos, UnitQuaternion<f64>)> = Vec::new();
     for attitude in attitudes {
-        let Some(world_from_unit) = attitude.world_from_unit else { continue };
+        let Some(world_from_unit) = attitude.world_from_unit else {
+            continue;
+        };
         let frame_from_unit = match bare(&attitude.frame) == bare(frame) {
             true => UnitQuaternion::identity(),
             false => way(&bag.frames, frame, &attitude.frame, attitude.stamp).map_or_else(
                 |_| {
-                    words.add(format!("the unit's frame `{}` is taken as `{frame}`: no transform leads there", attitude.frame));
+                    words.add(format!(
+                        "the unit's frame `{}` is taken as `{frame}`: no transform leads there",
+                        attitude.frame
+                    ));
                     UnitQuaternion::identity()
                 },
                 |pose| pose.rotation,
@@ -303,7 +329,9 @@ fn of_fixes(
             true => Vector3::zeros(),
             false => way(&bag.frames, frame, antenna, *stamp).map_or_else(
                 |_| {
-                    words.add(format!("the antenna's frame `{antenna}` is taken as `{frame}`: no transform leads there"));
+                    words.add(format!(
+                        "the antenna's frame `{antenna}` is taken as `{frame}`: no transform leads there"
+                    ));
                     Vector3::zeros()
                 },
                 |pose| pose.translation.vector,
@@ -324,7 +352,9 @@ fn nearest<T: Copy>(known: &[(Nanos, T)], stamp: Nanos) -> Option<(Nanos, T)> {
 /// Headings by where a vehicle went, in the middle of each step.
 fn courses(places: &[(Nanos, Nanos, Vector3<f64>, &str)]) -> Vec<(Nanos, UnitQuaternion<f64>)> {
     let mut courses = Vec::new();
-    let Some(mut anchor) = places.first() else { return courses };
+    let Some(mut anchor) = places.first() else {
+        return courses;
+    };
     for place in places {
         let step = place.2 - anchor.2;
         if step.xy().norm() >= MOVED {
@@ -371,7 +401,12 @@ mod tests {
     #[test]
     fn a_course_is_where_a_vehicle_went() {
         let place = |t: Nanos, x: f64, y: f64| (t, t, Vector3::new(x, y, 0.0), "gps");
-        let found = courses(&[place(0, 0.0, 0.0), place(10, 0.0, 0.1), place(20, 0.0, 1.0), place(30, 1.0, 1.0)]);
+        let found = courses(&[
+            place(0, 0.0, 0.0),
+            place(10, 0.0, 0.1),
+            place(20, 0.0, 1.0),
+            place(30, 1.0, 1.0),
+        ]);
         let yaws: Vec<(Nanos, f64)> = found.iter().map(|(t, q)| (*t, q.euler_angles().2)).collect();
         assert_eq!(yaws.iter().map(|(t, _)| *t).collect::<Vec<_>>(), [10, 25]);
         assert!((yaws[0].1 - std::f64::consts::FRAC_PI_2).abs() < 1e-12 && yaws[1].1.abs() < 1e-12);

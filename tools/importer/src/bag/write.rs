@@ -50,7 +50,10 @@ pub fn write(
         states.push(state(import, &mut small, place, &track, &mut faults)?);
         tracks.push(track);
     }
-    let is_earth = import.agents.iter().any(|agent| agent.pose.as_ref().is_some_and(|pose| pose.kind == Kind::NavSatFix));
+    let is_earth = import
+        .agents
+        .iter()
+        .any(|agent| agent.pose.as_ref().is_some_and(|pose| pose.kind == Kind::NavSatFix));
     let origin = origin.filter(|_| is_earth || import.map.map_origin.is_some());
     let mut log = LogWriter::create_atomic(output, &info(import, &small, &states, origin))?;
     let all: u64 = import
@@ -64,7 +67,15 @@ pub fn write(
         let AgentSmall { heads, .. } = &small.agents[place];
         let frames = &small.bags[import.agents[place].bag].frames;
         let clock = clocks.agents[place].clone();
-        readers.push(Sweeps::new(import, place, frames, track, heads, clock, states[place].height)?);
+        readers.push(Sweeps::new(
+            import,
+            place,
+            frames,
+            track,
+            heads,
+            clock,
+            states[place].height,
+        )?);
     }
     let mut summary = BagSummary::default();
     let mut next: Vec<Option<Sweep>> = Vec::new();
@@ -74,11 +85,21 @@ pub fn write(
     loop {
         let soonest = (0..next.len()).filter(|place| next[*place].is_some());
         let soonest = soonest.min_by_key(|place| next[*place].as_ref().map(|sweep| sweep.ready));
-        let Some((place, sweep)) = soonest.and_then(|place| Some((place, next[place].take()?))) else { break };
+        let Some((place, sweep)) = soonest.and_then(|place| Some((place, next[place].take()?))) else {
+            break;
+        };
         for (other, track) in tracks.iter().enumerate() {
             poses(&mut log, import, clocks, other, &mut states[other], track, sweep.ready)?;
         }
-        one(&mut log, import, clocks, place, &mut states[place], &sweep, &mut summary)?;
+        one(
+            &mut log,
+            import,
+            clocks,
+            place,
+            &mut states[place],
+            &sweep,
+            &mut summary,
+        )?;
         compare(import, &states, place, &sweep, &mut summary);
         states[place].last = Some(sweep);
         report("importing", readers.iter().map(|reader| reader.read).sum(), all);
@@ -86,14 +107,30 @@ pub fn write(
     }
     for (place, track) in tracks.iter().enumerate() {
         // A run needs no poses long after the last sweep.
-        let until = states[place].last.as_ref().map_or(Nanos::MIN, |sweep| sweep.ready.saturating_add(500_000_000));
+        let until = states[place]
+            .last
+            .as_ref()
+            .map_or(Nanos::MIN, |sweep| sweep.ready.saturating_add(500_000_000));
         poses(&mut log, import, clocks, place, &mut states[place], track, until)?;
     }
     summary.limited_intensities = readers.iter().map(|reader| reader.limited).sum();
-    if let Some((agent, _)) = import.agents.iter().zip(&states).find(|(_, state)| state.last.is_none()) {
-        let reasons: Vec<String> = faults.0.iter().map(|(reason, n)| format!("\n  {n} × {reason}")).collect();
+    if let Some((agent, _)) = import
+        .agents
+        .iter()
+        .zip(&states)
+        .find(|(_, state)| state.last.is_none())
+    {
+        let reasons: Vec<String> = faults
+            .0
+            .iter()
+            .map(|(reason, n)| format!("\n  {n} × {reason}"))
+            .collect();
         let path = import.bags[agent.bag].path();
-        let reason = format!("agent `{}`: expected sweeps, none is left:{}", agent.name, reasons.concat());
+        let reason = format!(
+            "agent `{}`: expected sweeps, none is left:{}",
+            agent.name,
+            reasons.concat()
+        );
         return Err(ImportError::content(path, reason));
     }
     let levelled = |(agent, state): (&Agent, &State)| {
@@ -107,7 +144,11 @@ pub fn write(
     log.finish()?;
     Ok(BagSummary {
         log: output.into(),
-        bags: import.bags.iter().map(|bag| format!("`{}`, {}", bag.path().display(), bag.format())).collect(),
+        bags: import
+            .bags
+            .iter()
+            .map(|bag| format!("`{}`, {}", bag.path().display(), bag.format()))
+            .collect(),
         notes: import.bags.iter().flat_map(|bag| bag.notes().iter().cloned()).collect(),
         agents: states.into_iter().map(|state| state.summary).collect(),
         clocks: clocks.words.clone(),
@@ -131,7 +172,8 @@ fn state(
 ) -> Result<State, ImportError> {
     let agent = &import.agents[place];
     let path = import.bags[agent.bag].path();
-    let [truth, detections] = [&agent.truth, &agent.detections].map(|topic| topic.as_ref().map(|topic| topic.name.clone()));
+    let [truth, detections] =
+        [&agent.truth, &agent.detections].map(|topic| topic.as_ref().map(|topic| topic.name.clone()));
     let ours = &mut small.agents[place];
     let messages = [std::mem::take(&mut ours.truth), std::mem::take(&mut ours.detections)];
     let frames = &small.bags[agent.bag].frames;
@@ -140,7 +182,15 @@ fn state(
         .map_err(|reason| ImportError::content(path, format!("agents.{}.{reason}", agent.name)))?;
     let mut timeline = |topic: Option<String>, messages| {
         let topic = topic?;
-        Some(Timeline::new(messages, &topic, agent, &import.map, frames, track, faults))
+        Some(Timeline::new(
+            messages,
+            &topic,
+            agent,
+            &import.map,
+            frames,
+            track,
+            faults,
+        ))
     };
     let [of_truth, of_detections] = messages;
     let (truth, detections) = (timeline(truth, of_truth), timeline(detections, of_detections));
@@ -189,7 +239,13 @@ fn info(import: &Import, small: &Small, states: &[State], origin: Option<[f64; 3
     let names: Vec<String> = import
         .bags
         .iter()
-        .map(|bag| bag.path().file_name().unwrap_or_default().to_string_lossy().into_owned())
+        .map(|bag| {
+            bag.path()
+                .file_name()
+                .unwrap_or_default()
+                .to_string_lossy()
+                .into_owned()
+        })
         .collect();
     let mut info = LogInfo::new(format!("bags {}", names.join(", ")), agents);
     info.map_origin = origin;
@@ -281,12 +337,16 @@ fn one(
 fn compare(import: &Import, states: &[State], place: usize, sweep: &Sweep, summary: &mut BagSummary) {
     let name = &import.agents[place].name;
     for (agent, state) in import.agents.iter().zip(states) {
-        let Some(other) = state.last.as_ref().filter(|_| agent.name != *name) else { continue };
+        let Some(other) = state.last.as_ref().filter(|_| agent.name != *name) else {
+            continue;
+        };
         let is_known = |known: &crate::Residual| known.agents.contains(name) && known.agents.contains(&agent.name);
         if (other.ready - sweep.ready).abs() > COMPARED || summary.residuals.iter().any(is_known) {
             continue;
         }
-        summary.residuals.extend(residual(&placed(name, sweep), &placed(&agent.name, other)));
+        summary
+            .residuals
+            .extend(residual(&placed(name, sweep), &placed(&agent.name, other)));
     }
 }
 

@@ -10,11 +10,14 @@ use super::wire::{Wire, detections, recorded};
 use super::world::{MS, PLAIN, SWEEPS, T0, recording, sweep};
 use super::writers::{db3, mcap, metadata, ros1};
 
-const MAP: &str = "agents:\n  car:\n    clouds: /velodyne_points\n    frame: base_link\n    height: 0.3\n    pose: /odom\n";
+const MAP: &str =
+    "agents:\n  car:\n    clouds: /velodyne_points\n    frame: base_link\n    height: 0.3\n    pose: /odom\n";
 
 fn refused(bag: &Path, map: Option<&str>) -> String {
     let log = bag.with_file_name("log.mcap");
-    let error = import(&[bag.into()], map, &log).expect_err("this is refused").to_string();
+    let error = import(&[bag.into()], map, &log)
+        .expect_err("this is refused")
+        .to_string();
     assert!(!log.exists(), "nothing is left of it");
     error
 }
@@ -29,7 +32,10 @@ fn a_cut_bag_gives_its_whole_chunks_and_says_what_is_lost() {
         fs::write(&path, &bytes[..bytes.len() * 2 / 3]).unwrap();
         let summary = import(std::slice::from_ref(&path), Some(MAP), &dir.path().join("log.mcap")).unwrap();
         let note = &summary.notes[0];
-        assert!(note.contains("cut at byte") && note.contains("chunks are lost"), "{note}");
+        assert!(
+            note.contains("cut at byte") && note.contains("chunks are lost"),
+            "{note}"
+        );
         let sweeps = summary.agents[0].sweeps as i64;
         assert!(sweeps >= SWEEPS / 2 && sweeps < SWEEPS, "{packing}: {sweeps}");
     }
@@ -49,7 +55,10 @@ fn a_bag_that_was_not_closed_is_read() {
     fs::write(&path, bytes).unwrap();
     let summary = import(std::slice::from_ref(&path), Some(MAP), &dir.path().join("log.mcap")).unwrap();
     assert_eq!(summary.agents[0].sweeps as i64, SWEEPS);
-    assert!(summary.notes[0].contains("not closed") && summary.notes[0].contains("rosbag reindex"), "{summary}");
+    assert!(
+        summary.notes[0].contains("not closed") && summary.notes[0].contains("rosbag reindex"),
+        "{summary}"
+    );
 }
 
 #[test]
@@ -62,12 +71,16 @@ fn cut_files_of_ros_2_give_what_is_whole() {
     let summary = import(std::slice::from_ref(&path), Some(MAP), &dir.path().join("log.mcap")).unwrap();
     assert!(summary.notes[0].contains("cut at byte"), "{summary}");
     assert!((summary.agents[0].sweeps as i64) < SWEEPS);
+    let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("cut.db3");
     db3(&path, &recording(PLAIN, 0.0, 0), Wire::Little, false);
     let bytes = fs::read(&path).unwrap();
     fs::write(&path, &bytes[..bytes.len() * 2 / 3]).unwrap();
     let error = refused(&path, Some(MAP));
-    assert!(error.contains("cut.db3") && error.contains("damaged database"), "{error}");
+    assert!(
+        error.contains("cut.db3") && error.contains("damaged database"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -77,9 +90,18 @@ fn a_missing_part_is_named() {
     fs::create_dir(&bag).unwrap();
     let messages = recording(PLAIN, 0.0, 0);
     db3(&bag.join("bag_0.db3"), &messages, Wire::Little, false);
-    metadata(&bag, &["bag_0.db3", "bag_1.db3", "bag/bag_2.db3"], ["", ""], messages.len());
+    metadata(
+        &bag,
+        &["bag_0.db3", "bag_1.db3", "bag/bag_2.db3"],
+        ["", ""],
+        messages.len(),
+    );
     let error = refused(&bag, Some(MAP));
-    for part in ["metadata.yaml", "2 of 3 parts are missing: `bag_1.db3`, `bag/bag_2.db3`", "fetch them"] {
+    for part in [
+        "metadata.yaml",
+        "2 of 3 parts are missing: `bag_1.db3`, `bag/bag_2.db3`",
+        "fetch them",
+    ] {
         assert!(error.contains(part), "{error}");
     }
     // Without metadata nobody knows, and what is there is read.
@@ -97,7 +119,11 @@ fn what_is_no_bag_is_named() {
         path
     };
     for (name, content, expected) in [
-        ("lfs.bag", &b"version https://git-lfs.github.com/spec/v1\n"[..], "git lfs pull"),
+        (
+            "lfs.bag",
+            &b"version https://git-lfs.github.com/spec/v1\n"[..],
+            "git lfs pull",
+        ),
         ("empty.db3", b"", "an empty file"),
         ("text.mcap", b"hello", "found a file that begins with [68, 65"),
         ("old.bag", b"#ROSBAG V1.2\n", "rosbag fix"),
@@ -127,7 +153,10 @@ fn sizes_that_would_take_gigabytes_are_not_believed() {
     bytes[at..at + 4].fill(0xff);
     fs::write(&path, bytes).unwrap();
     let error = refused(&path, Some(MAP));
-    assert!(error.contains("are said to unpack to 4294967295") && error.contains("big.bag"), "{error}");
+    assert!(
+        error.contains("are said to unpack to 4294967295") && error.contains("big.bag"),
+        "{error}"
+    );
 }
 
 #[test]
@@ -141,16 +170,30 @@ fn what_is_missing_for_a_log_is_named() {
     };
     without("/tf_static");
     let error = refused(&path, Some(MAP));
-    for part in ["expected sweeps, none is left", "`velodyne`", "`base_link`", "mounts: {velodyne: [x, y, z"] {
+    for part in [
+        "expected sweeps, none is left",
+        "`velodyne`",
+        "`base_link`",
+        "mounts: {velodyne: [x, y, z",
+    ] {
         assert!(error.contains(part), "{error}");
     }
     let mounted = format!("{MAP}    mounts: {{velodyne: [1, 0, 1.6, 0, 0, 0]}}\n");
     let log = dir.path().join("log.mcap");
-    assert_eq!(import(std::slice::from_ref(&path), Some(&mounted), &log).unwrap().agents[0].sweeps as i64, SWEEPS);
+    assert_eq!(
+        import(std::slice::from_ref(&path), Some(&mounted), &log)
+            .unwrap()
+            .agents[0]
+            .sweeps as i64,
+        SWEEPS
+    );
     fs::remove_file(&log).unwrap();
     without("/odom");
     let error = refused(&path, None);
-    assert!(error.contains("no transform") || error.contains("expected transforms"), "{error}");
+    assert!(
+        error.contains("no transform") || error.contains("expected transforms"),
+        "{error}"
+    );
     let error = refused(&path, Some(MAP));
     assert!(error.contains("has no topic `/odom`"), "{error}");
     without("/velodyne_points");
@@ -158,12 +201,24 @@ fn what_is_missing_for_a_log_is_named() {
     assert!(error.contains("expected a topic of sensor_msgs/PointCloud2"), "{error}");
     without("");
     for (from, to, expected) in [
-        ("/odom", "/ground_truth", "agents.car.pose: expected `tf`, or a topic of Odometry"),
+        (
+            "/odom",
+            "/ground_truth",
+            "agents.car.pose: expected `tf`, or a topic of Odometry",
+        ),
         ("/velodyne_points", "/points", "it has `/velodyne_points`"),
         ("height: 0.3", "height: 0.3\n    colour: red", "unknown field `colour`"),
         ("agents:", "world: odom\nagents:", "write `world: map`"),
-        ("pose: /odom", "pose: !!python/object/apply:os.system ['touch /tmp/never']", "pose"),
-        ("    pose: /odom\n", "    pose: /odom\n  mast:\n    clouds: /velodyne_points\n    frame: base_link\n    pose: /odom\n", "is the topic of `car` already"),
+        (
+            "pose: /odom",
+            "pose: !!python/object/apply:os.system ['touch /tmp/never']",
+            "pose",
+        ),
+        (
+            "    pose: /odom\n",
+            "    pose: /odom\n  mast:\n    clouds: /velodyne_points\n    frame: base_link\n    pose: /odom\n",
+            "is the topic of `car` already",
+        ),
     ] {
         let error = refused(&path, Some(&MAP.replace(from, to)));
         assert!(error.contains(expected), "{error}");
@@ -177,12 +232,15 @@ fn unknown_serialisations_are_refused_by_name() {
     let bag = dir.path().join("bag.db3");
     db3(&bag, &recording(PLAIN, 0.0, 0), Wire::Little, false);
     let bytes = fs::read(&bag).unwrap();
-    let text: Vec<u8> = bytes.windows(3).enumerate().fold(bytes.clone(), |mut changed, (at, part)| {
-        if part == b"cdr" {
-            changed[at..at + 3].copy_from_slice(b"xdr");
-        }
-        changed
-    });
+    let text: Vec<u8> = bytes
+        .windows(3)
+        .enumerate()
+        .fold(bytes.clone(), |mut changed, (at, part)| {
+            if part == b"cdr" {
+                changed[at..at + 3].copy_from_slice(b"xdr");
+            }
+            changed
+        });
     fs::write(&bag, text).unwrap();
     let error = refused(&bag, Some(MAP));
     assert!(error.contains("serialised as `xdr`, expected cdr"), "{error}");
@@ -195,13 +253,23 @@ fn messages_that_cannot_be_read_are_left_out_and_counted() {
     let mut messages = recording(PLAIN, 0.0, 0);
     let wrong = T0 + 950 * MS;
     messages.push(recorded("/odom", "nav_msgs/Odometry", wrong, |out| out.u32(1)));
-    messages.push(detections("/ground_truth", wrong + MS, wrong + MS, "nowhere", vec![("Car", "1", [0.0; 4], [1.0; 3])]));
+    messages.push(detections(
+        "/ground_truth",
+        wrong + MS,
+        wrong + MS,
+        "nowhere",
+        vec![("Car", "1", [0.0; 4], [1.0; 3])],
+    ));
     messages.push(sweep("/velodyne_points", wrong + 2 * MS, T0, "velodyne"));
     ros1(&path, &messages, "none");
     let map = format!("{MAP}    truth: /ground_truth\n");
     let summary = import(&[path], Some(&map), &dir.path().join("log.mcap")).unwrap();
     let left_out = summary.to_string();
-    for part in ["left out: 1 × /odom: ", "/ground_truth: objects are in `nowhere`", "/velodyne_points: its stamp does not lie"] {
+    for part in [
+        "left out: 1 × /odom: ",
+        "/ground_truth: objects are in `nowhere`",
+        "/velodyne_points: its stamp does not lie",
+    ] {
         assert!(left_out.contains(part), "{left_out}");
     }
 }
@@ -215,5 +283,8 @@ fn auto_recognises_bags_by_their_bytes() {
     let log = dir.path().join("log.mcap");
     import(&[path], Some(MAP), &log).unwrap();
     let seen = look_at(&log);
-    assert!(seen.fits.is_empty() && seen.to_string().contains("recording of realo already"), "{seen}");
+    assert!(
+        seen.fits.is_empty() && seen.to_string().contains("recording of realo already"),
+        "{seen}"
+    );
 }

@@ -28,10 +28,19 @@ fn number(datatype: u8, value: f64, big_endian: bool) -> Vec<u8> {
 /// A sweep whose points' times are 0 to 80 ms after the stamp, in one field; the last point is no return.
 fn one(stamp: i64, time: (&'static str, u8), write: fn(i64, f64) -> f64, big_endian: bool) -> Cloud {
     let (name, datatype) = time;
-    let fields: Vec<Field> = vec![(name, 0, datatype), ("z", 8, FLOAT32), ("x", 14, FLOAT32), ("y", 20, FLOAT32)];
+    let fields: Vec<Field> = vec![
+        (name, 0, datatype),
+        ("z", 8, FLOAT32),
+        ("x", 14, FLOAT32),
+        ("y", 20, FLOAT32),
+    ];
     let point = |k: usize| {
         let after = 80e6 * k as f64 / COUNT as f64;
-        let place = if k == COUNT - 1 { [f64::NAN; 3] } else { [k as f64, 1.0, 2.0] };
+        let place = if k == COUNT - 1 {
+            [f64::NAN; 3]
+        } else {
+            [k as f64, 1.0, 2.0]
+        };
         let mut bytes = vec![0xaa; 26];
         let mut put = |at: usize, datatype, value| {
             let number = number(datatype, value, big_endian);
@@ -73,9 +82,17 @@ fn times_of_all_drivers_are_offsets_from_the_stamp() {
             for k in 0..3 {
                 let stamp = T0 + k * 100 * MS;
                 messages.push(pose_stamped("/pose", stamp, stamp + MS, "map", [0.0; 4]));
-                messages.push(cloud("/points", stamp + 90 * MS, stamp, "lidar", one(stamp, (name, datatype), write, big_endian)));
+                messages.push(cloud(
+                    "/points",
+                    stamp + 90 * MS,
+                    stamp,
+                    "lidar",
+                    one(stamp, (name, datatype), write, big_endian),
+                ));
             }
-            let bag = dir.path().join(if wire == Wire::Ros1 { "some.bag" } else { "some.mcap" });
+            let bag = dir
+                .path()
+                .join(if wire == Wire::Ros1 { "some.bag" } else { "some.mcap" });
             match wire {
                 Wire::Ros1 => ros1(&bag, &messages, "lz4"),
                 _ => mcap(&bag, &messages, wire),
@@ -86,7 +103,11 @@ fn times_of_all_drivers_are_offsets_from_the_stamp() {
             assert_eq!((*stamp, cloud.len()), (T0 + 100 * MS, COUNT), "{name}");
             for k in 0..COUNT - 1 {
                 let after = 80e6 * k as f64 / COUNT as f64;
-                assert!((f64::from(cloud.time[k]) - after).abs() <= 1001.0, "{name} {datatype}: {} for {after}", cloud.time[k]);
+                assert!(
+                    (f64::from(cloud.time[k]) - after).abs() <= 1001.0,
+                    "{name} {datatype}: {} for {after}",
+                    cloud.time[k]
+                );
                 assert_eq!([cloud.x[k], cloud.y[k], cloud.z[k]], [k as f32, 1.0, 2.0]);
             }
             assert!(cloud.x[COUNT - 1].is_nan(), "a direction without a return stays one");
@@ -102,8 +123,8 @@ fn log_times_count_where_the_map_file_says_so() {
         let time = T0 + k * 100 * MS;
         // Stamps since the start of the sensor.
         messages.push(pose_stamped("/pose", time, 5_000 * MS + k * 100 * MS, "map", [0.0; 4]));
-        let nothing = |_, after| after / 1e9;
-        messages.push(cloud("/points", time + MS, 5_000 * MS + k * 100 * MS, "lidar", one(0, ("time", FLOAT32), nothing, false)));
+        let points = one(0, ("time", FLOAT32), |_, after| after / 1e9, false);
+        messages.push(cloud("/points", time + MS, 5_000 * MS + k * 100 * MS, "lidar", points));
     }
     let bag = dir.path().join("some.bag");
     ros1(&bag, &messages, "none");
@@ -114,5 +135,10 @@ fn log_times_count_where_the_map_file_says_so() {
     import(&[bag], Some(MAP), &log).unwrap();
     let clouds = played(&log, "car").clouds;
     assert_eq!(clouds[2].0, 5_200 * MS, "else the stamps count");
-    assert!(clouds.iter().all(|(stamp, ready, _)| *ready >= stamp + 79 * MS && *ready <= stamp + 90 * MS), "log times are brought to their clock");
+    assert!(
+        clouds
+            .iter()
+            .all(|(stamp, ready, _)| *ready >= stamp + 79 * MS && *ready <= stamp + 90 * MS),
+        "log times are brought to their clock"
+    );
 }

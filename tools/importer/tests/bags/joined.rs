@@ -33,12 +33,20 @@ fn two(late: Nanos, is_heard: bool, offset: &str) -> Result<(Vec<Nanos>, String)
         ros1(path, &messages, "none");
     }
     let agent = |name: &str, more: &str| {
-        format!("  {name}:\n    bag: {name}.bag\n    clouds: /velodyne_points\n    frame: base_link\n    height: {BASE}\n    pose: /odom\n{more}")
+        format!(
+            "  {name}:\n    bag: {name}.bag\n    clouds: /velodyne_points\n    frame: base_link\n    height: {BASE}\n    pose: /odom\n{more}"
+        )
     };
     let map = format!("agents:\n{}{}", agent("a", ""), agent("b", offset));
     let log = dir.path().join("log.mcap");
     let summary = import(&[a, b], Some(&map), &log).map_err(|error| error.to_string())?;
-    let stamps = |agent: &str| played(&log, agent).clouds.iter().map(|(stamp, ..)| *stamp).collect::<Vec<_>>();
+    let stamps = |agent: &str| {
+        played(&log, agent)
+            .clouds
+            .iter()
+            .map(|(stamp, ..)| *stamp)
+            .collect::<Vec<_>>()
+    };
     assert_eq!(stamps("a")[0], T0);
     Ok((stamps("b"), summary.to_string()))
 }
@@ -55,7 +63,10 @@ fn bags_without_a_word_of_their_clocks_are_taken_as_one() {
 fn what_both_recorded_says_how_their_clocks_differ() {
     let (stamps, said) = two(37 * MS, true, "").unwrap();
     assert_eq!(stamps[0], T0);
-    assert!(said.contains("+37.000 ms") && said.contains("by 8 messages that it and"), "{said}");
+    assert!(
+        said.contains("+37.000 ms") && said.contains("by 8 messages that it and"),
+        "{said}"
+    );
 }
 
 #[test]
@@ -83,8 +94,22 @@ fn agents_of_one_bag_are_drafted_by_their_names() {
     let bag = dir.path().join("both.bag");
     let mut messages = Vec::new();
     for (names, start) in [
-        (Names { points: "/cav1/points", odom: "/cav1/odom", truth: None }, 0.0),
-        (Names { points: "/rsu/points", odom: "/rsu/odom", truth: None }, 30.0),
+        (
+            Names {
+                points: "/cav1/points",
+                odom: "/cav1/odom",
+                truth: None,
+            },
+            0.0,
+        ),
+        (
+            Names {
+                points: "/rsu/points",
+                odom: "/rsu/odom",
+                truth: None,
+            },
+            30.0,
+        ),
     ] {
         messages.extend(recording(names, start, 0));
     }
@@ -104,7 +129,13 @@ fn two_lidars_of_an_agent_are_one_sweep() {
     let dir = tempfile::tempdir().unwrap();
     let bag = dir.path().join("two.bag");
     let mut messages = recording(OTHER, 0.0, 0);
-    messages.push(transform("/tf_static", T0, T0, ["base_link", "rear"], [-2.0, 0.0, MOUNTED, 0.0]));
+    messages.push(transform(
+        "/tf_static",
+        T0,
+        T0,
+        ["base_link", "rear"],
+        [-2.0, 0.0, MOUNTED, 0.0],
+    ));
     for k in 0..SWEEPS {
         let stamp = T0 + k * 100 * MS + 20 * MS;
         messages.push(sweep("/rear_points", stamp + 95 * MS, stamp, "rear"));
@@ -122,6 +153,8 @@ fn two_lidars_of_an_agent_are_one_sweep() {
     for (stamp, ready, cloud) in &clouds {
         assert_eq!(cloud.len(), 2 * points);
         assert_eq!(*ready, stamp + 115 * MS);
-        assert!((cloud.x[points] - cloud.x[0] + 3.0).abs() < 1e-5 && (cloud.time[points] - 20 * MS as i32).abs() < 1000);
+        assert!(
+            (cloud.x[points] - cloud.x[0] + 3.0).abs() < 1e-5 && (cloud.time[points] - 20 * MS as i32).abs() < 1000
+        );
     }
 }

@@ -39,21 +39,29 @@ pub fn import(paths: &[PathBuf], map: Option<&str>, output: &Path) -> Result<Bag
 /// What a log has of an agent.
 #[derive(Debug, Default, PartialEq)]
 pub struct Played {
+    /// Stamp, ready and points.
     pub clouds: Vec<(Nanos, Nanos, PointCloud)>,
+    /// Stamp, and map from body.
     pub poses: Vec<(Nanos, Isometry3<f64>)>,
+    /// Stamp and objects.
     pub truth: Vec<(Nanos, Vec<Box3>)>,
+    /// Stamp and objects.
     pub detections: Vec<(Nanos, Vec<Box3>)>,
 }
 
+/// Reads what a log has of an agent.
 pub fn played(log: &Path, agent: &str) -> Played {
     let log = Log::open(log).unwrap();
     let mut played = Played::default();
     let streams = [Stream::Points, Stream::Pose, Stream::GroundTruth, Stream::Detections];
-    let streams: Vec<(&str, Stream)> = streams.into_iter().map(|stream| (agent, stream)).collect();
+    let streams = streams.into_iter().filter(|stream| log.has(agent, *stream));
+    let streams: Vec<(&str, Stream)> = streams.map(|stream| (agent, stream)).collect();
     let mut reader = log.read_all(&streams).unwrap();
     while let Some(entry) = reader.next().unwrap() {
         match entry.stream {
-            Stream::Points => played.clouds.push((entry.stamp(), entry.ready(), entry.cloud().unwrap())),
+            Stream::Points => played
+                .clouds
+                .push((entry.stamp(), entry.ready(), entry.cloud().unwrap())),
             Stream::Pose => played.poses.push((entry.stamp(), entry.pose().unwrap().map_from_body)),
             Stream::GroundTruth => played.truth.push((entry.stamp(), entry.boxes().unwrap().0)),
             _ => played.detections.push((entry.stamp(), entry.boxes().unwrap().0)),

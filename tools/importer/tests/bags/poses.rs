@@ -3,7 +3,7 @@
 use realo_logs::MapOrigin;
 
 use super::wire::{Recorded, fix, imu, pose_stamped, transform};
-use super::world::{BASE, MOUNTED, MS, SPEED, SWEEPS, T0, place, sweep};
+use super::world::{BASE, MOUNTED, MS, SWEEPS, T0, place, sweep};
 use super::writers::ros1;
 use super::{Played, import, played};
 
@@ -11,7 +11,13 @@ const ORIGIN: [f64; 3] = [48.1, 11.6, 500.0];
 
 fn log_of(poses: Vec<Recorded>, map: &str) -> (Played, String) {
     let dir = tempfile::tempdir().unwrap();
-    let mut messages = vec![transform("/tf_static", T0, T0, ["base_link", "velodyne"], [1.0, 0.0, MOUNTED, 0.0])];
+    let mut messages = vec![transform(
+        "/tf_static",
+        T0,
+        T0,
+        ["base_link", "velodyne"],
+        [1.0, 0.0, MOUNTED, 0.0],
+    )];
     for k in 0..SWEEPS {
         let stamp = T0 + k * 100 * MS;
         messages.push(sweep("/velodyne_points", stamp + 95 * MS, stamp, "velodyne"));
@@ -37,7 +43,10 @@ fn check(log: &Played, tolerance: f64) {
     for (stamp, pose) in log.poses.iter().filter(|(stamp, _)| sweeps.contains(stamp)) {
         let [x, y, _, yaw] = place(0.0, *stamp);
         let found = pose.translation.vector;
-        assert!((found.x - x).abs() < tolerance && (found.y - y).abs() < tolerance, "{found} for {x} {y}");
+        assert!(
+            (found.x - x).abs() < tolerance && (found.y - y).abs() < tolerance,
+            "{found} for {x} {y}"
+        );
         assert!((pose.rotation.euler_angles().2 - yaw).abs() < tolerance);
     }
     assert!(log.poses.iter().filter(|(stamp, _)| sweeps.contains(stamp)).count() >= SWEEPS as usize);
@@ -62,7 +71,8 @@ fn poses_of_another_frame_are_brought_to_the_world() {
 #[test]
 fn poses_that_are_far_apart_are_interpolated_at_the_sweeps() {
     let poses = stamps(1000).map(|stamp| pose_stamped("/pose", stamp, stamp, "map", place(0.0, stamp)));
-    let poses = poses.chain([T0 + 2000 * MS].map(|stamp| pose_stamped("/pose", stamp, stamp, "map", place(0.0, stamp))));
+    let poses =
+        poses.chain([T0 + 2000 * MS].map(|stamp| pose_stamped("/pose", stamp, stamp, "map", place(0.0, stamp))));
     let (log, said) = log_of(poses.collect(), "    pose: /pose\n");
     check(&log, 1e-6);
     assert!(said.contains("1000 ms apart and interpolated"), "{said}");
@@ -87,7 +97,6 @@ fn positions_have_the_attitude_of_an_inertial_unit_or_the_course() {
     let (log, said) = log_of(poses, &map);
     check(&log, 1e-3);
     assert!(said.contains("attitude by the inertial unit"), "{said}");
-    assert!(SPEED > 1.0);
 }
 
 #[test]

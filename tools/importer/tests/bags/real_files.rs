@@ -15,7 +15,10 @@ fn figures(path: &Path) -> (u64, u64) {
     while let Some(message) = messages.next().unwrap() {
         assert!(message.log_time >= last, "messages come in the order of time");
         last = message.log_time;
-        let hash = Sha256::new().chain_update(message.data()).chain_update(message.log_time.to_le_bytes()).finalize();
+        let hash = Sha256::new()
+            .chain_update(message.data())
+            .chain_update(message.log_time.to_le_bytes())
+            .finalize();
         sum = sum.wrapping_add(u64::from_le_bytes(std::array::from_fn(|i| hash[i])));
         count += 1;
     }
@@ -34,7 +37,11 @@ fn real_bags_have_the_messages_that_rosbags_reads() {
         ("rosbag1/example-unsorted-chunks.bag", 3, 0x17a1_84ec_f9bf_31ee),
         ("rosbag1/no-messages.bag", 0, 0),
         ("rosbag1/ouster_512x10_raw.bag", 43, 0x028a_d3ae_8f95_3e30),
-        ("rosbag2/mcap/bag_with_topics_and_service_events", 10, 0x887b_eb59_30ee_8821),
+        (
+            "rosbag2/mcap/bag_with_topics_and_service_events",
+            10,
+            0x887b_eb59_30ee_8821,
+        ),
         ("rosbag2/mcap/cdr_test", 7, 0x7910_f88c_a78a_6d84),
         ("rosbag2/sqlite3/cdr_test", 7, 0x7910_f88c_a78a_6d84),
         ("rosbag2/mcap/test_bag_for_seek", 5, 0x9f02_c3b2_034e_1f7d),
@@ -60,10 +67,20 @@ fn every_real_file_is_described_or_refused_by_name() {
     let robosense = survey(open(&data.join("packets/robosense_helios16p")).unwrap().as_ref()).unwrap();
     let shown = robosense.to_string();
     assert!(shown.contains("/robosense_packets  5 messages"), "{shown}");
-    let Err(reason) = Draft::of(&[robosense]) else { panic!("there are no clouds") };
-    assert!(reason.contains("packets (robosense_msgs/RobosenseScan) are not read"), "{reason}");
+    let Err(reason) = Draft::of(&[robosense]) else {
+        panic!("there are no clouds")
+    };
+    assert!(
+        reason.contains("packets (robosense_msgs/RobosenseScan) are not read"),
+        "{reason}"
+    );
     let wrong = survey(open(&data.join("rosbag2/sqlite3/wrong_rmw_test")).unwrap().as_ref()).unwrap();
     assert!(wrong.to_string().contains("serialised as `"), "{wrong}");
-    let turtles = survey(open(&data.join("rosbag1/example.bag")).unwrap().as_ref()).unwrap().to_string();
-    assert!(turtles.contains("tf2_msgs/TFMessage") && turtles.contains("world -> turtle1"), "{turtles}");
+    let turtles = survey(open(&data.join("rosbag1/example.bag")).unwrap().as_ref())
+        .unwrap()
+        .to_string();
+    assert!(
+        turtles.contains("tf2_msgs/TFMessage") && turtles.contains("world -> turtle1"),
+        "{turtles}"
+    );
 }

@@ -18,7 +18,10 @@ pub struct Out {
 
 impl Out {
     fn new(wire: Wire) -> Self {
-        Out { wire, bytes: Vec::new() }
+        Out {
+            wire,
+            bytes: Vec::new(),
+        }
     }
 
     fn put<const N: usize>(&mut self, mut number: [u8; N]) {
@@ -40,10 +43,6 @@ impl Out {
     }
 
     pub fn u32(&mut self, value: u32) {
-        self.put(value.to_le_bytes());
-    }
-
-    pub fn f32(&mut self, value: f32) {
         self.put(value.to_le_bytes());
     }
 
@@ -120,7 +119,13 @@ pub fn seven([x, y, z, yaw]: [f64; 4]) -> [f64; 7] {
     [x, y, z, 0.0, 0.0, (yaw / 2.0).sin(), (yaw / 2.0).cos()]
 }
 
-pub fn transform(topic: &'static str, log_time: Nanos, stamp: Nanos, names: [&'static str; 2], at: [f64; 4]) -> Recorded {
+pub fn transform(
+    topic: &'static str,
+    log_time: Nanos,
+    stamp: Nanos,
+    names: [&'static str; 2],
+    at: [f64; 4],
+) -> Recorded {
     recorded(topic, "tf2_msgs/TFMessage", log_time, move |out| {
         out.u32(1);
         out.header(stamp, names[0]);
@@ -129,7 +134,13 @@ pub fn transform(topic: &'static str, log_time: Nanos, stamp: Nanos, names: [&'s
     })
 }
 
-pub fn odometry(topic: &'static str, log_time: Nanos, stamp: Nanos, names: [&'static str; 2], at: [f64; 4]) -> Recorded {
+pub fn odometry(
+    topic: &'static str,
+    log_time: Nanos,
+    stamp: Nanos,
+    names: [&'static str; 2],
+    at: [f64; 4],
+) -> Recorded {
     recorded(topic, "nav_msgs/Odometry", log_time, move |out| {
         out.header(stamp, names[0]);
         out.text(names[1]);
@@ -168,7 +179,13 @@ pub fn imu(topic: &'static str, log_time: Nanos, stamp: Nanos, frame: &'static s
 pub type Object = (&'static str, &'static str, [f64; 4], [f64; 3]);
 
 /// A `Detection3DArray` of ROS 2.
-pub fn detections(topic: &'static str, log_time: Nanos, stamp: Nanos, frame: &'static str, objects: Vec<Object>) -> Recorded {
+pub fn detections(
+    topic: &'static str,
+    log_time: Nanos,
+    stamp: Nanos,
+    frame: &'static str,
+    objects: Vec<Object>,
+) -> Recorded {
     recorded(topic, "vision_msgs/Detection3DArray", log_time, move |out| {
         out.header(stamp, frame);
         out.u32(objects.len() as u32);
@@ -214,7 +231,8 @@ pub fn cloud(topic: &'static str, log_time: Nanos, stamp: Nanos, frame: &'static
         out.u32(cloud.step);
         out.u32(cloud.row_step);
         let mut data = cloud.rows.clone();
-        data.iter_mut().for_each(|row| row.resize(cloud.row_step as usize, 0xee));
+        data.iter_mut()
+            .for_each(|row| row.resize(cloud.row_step as usize, 0xee));
         out.blob(&data.concat());
         out.u8(0);
     })

@@ -25,16 +25,23 @@ pub fn place(start: f64, stamp: Nanos) -> [f64; 4] {
 
 /// Points of the ground and of a wall, in the LiDAR's frame.
 pub fn points() -> Vec<[f32; 3]> {
-    let ground = (0..40).flat_map(|i| (0..40).map(move |k| [i as f32 - 20.0, k as f32 - 20.0, -(MOUNTED + BASE) as f32]));
+    let ground =
+        (0..40).flat_map(|i| (0..40).map(move |k| [i as f32 - 20.0, k as f32 - 20.0, -(MOUNTED + BASE) as f32]));
     ground.chain((0..100).map(|i| [15.0, 0.1 * i as f32, 0.5])).collect()
 }
 
 /// Fields as Hesai's driver has them, with doubles of absolute time.
 pub fn sweep(topic: &'static str, log_time: Nanos, stamp: Nanos, frame: &'static str) -> Recorded {
-    let fields: Vec<Field> =
-        vec![("x", 0, FLOAT32), ("y", 4, FLOAT32), ("z", 8, FLOAT32), ("intensity", 12, FLOAT32), ("ring", 16, UINT16), ("timestamp", 18, FLOAT64)];
+    let fields: Vec<Field> = vec![
+        ("x", 0, FLOAT32),
+        ("y", 4, FLOAT32),
+        ("z", 8, FLOAT32),
+        ("intensity", 12, FLOAT32),
+        ("ring", 16, UINT16),
+        ("timestamp", 18, FLOAT64),
+    ];
     let count = points().len() as f64;
-    let row = points().iter().enumerate().flat_map(|(k, point)| {
+    let row = points().into_iter().enumerate().flat_map(|(k, point)| {
         let time = (stamp as f64 + 90e6 * k as f64 / count) / 1e9;
         let mut bytes: Vec<u8> = point.iter().flat_map(|v| v.to_le_bytes()).collect();
         bytes.extend(((k % 100) as f32).to_le_bytes());
@@ -84,16 +91,34 @@ pub fn objects(stamp: Nanos) -> Vec<Object> {
 
 /// A recording; `late`: how far its clock is behind, for stamps and log times.
 pub fn recording(names: Names, start: f64, late: Nanos) -> Vec<Recorded> {
-    let mut messages = vec![transform("/tf_static", T0 - late, T0 - late, ["base_link", "velodyne"], [1.0, 0.0, MOUNTED, 0.0])];
+    let mut messages = vec![transform(
+        "/tf_static",
+        T0 - late,
+        T0 - late,
+        ["base_link", "velodyne"],
+        [1.0, 0.0, MOUNTED, 0.0],
+    )];
     for step in 0..(5 * SWEEPS) {
         let stamp = T0 + step * 20 * MS;
-        messages.push(odometry(names.odom, stamp + MS - late, stamp - late, ["map", "base_link"], place(start, stamp)));
+        messages.push(odometry(
+            names.odom,
+            stamp + MS - late,
+            stamp - late,
+            ["map", "base_link"],
+            place(start, stamp),
+        ));
         if step % 5 == 0 {
             messages.push(sweep(names.points, stamp + 95 * MS - late, stamp - late, "velodyne"));
         }
         if let (Some(truth), true) = (names.truth, step % 5 == 2) {
             // Truth is of other times than the sweeps, and each second one is missing.
-            messages.push(detections(truth, stamp + 3 * MS - late, stamp - late, "map", objects(stamp)));
+            messages.push(detections(
+                truth,
+                stamp + 3 * MS - late,
+                stamp - late,
+                "map",
+                objects(stamp),
+            ));
         }
     }
     messages.sort_by_key(|message| message.log_time);

@@ -16,7 +16,7 @@ const PER_CHUNK: usize = 7;
 
 fn field(name: &str, value: &[u8]) -> Vec<u8> {
     let length = (name.len() + 1 + value.len()) as u32;
-    [&length.to_le_bytes(), name.as_bytes(), b"=", value].concat()
+    [&length.to_le_bytes()[..], name.as_bytes(), b"=", value].concat()
 }
 
 fn record(fields: &[Vec<u8>], data: &[u8]) -> Vec<u8> {
@@ -71,9 +71,17 @@ pub fn ros1(path: &Path, messages: &[Recorded], packing: &str) {
             let next = known.len() as u32;
             let id = *known.entry(message.topic).or_insert(next);
             if id == next {
-                let data = [field("topic", message.topic.as_bytes()), field("type", message.kind.as_bytes())].concat();
+                let data = [
+                    field("topic", message.topic.as_bytes()),
+                    field("type", message.kind.as_bytes()),
+                ]
+                .concat();
                 let connection = record(
-                    &[field("op", &[7]), field("conn", &id.to_le_bytes()), field("topic", message.topic.as_bytes())],
+                    &[
+                        field("op", &[7]),
+                        field("conn", &id.to_le_bytes()),
+                        field("topic", message.topic.as_bytes()),
+                    ],
                     &data,
                 );
                 chunk.extend(&connection);
@@ -81,7 +89,11 @@ pub fn ros1(path: &Path, messages: &[Recorded], packing: &str) {
             }
             let entry = [&time(message.log_time)[..], &(chunk.len() as u32).to_le_bytes()].concat();
             index.entry(id).or_default().extend(entry);
-            let fields = [field("op", &[2]), field("conn", &id.to_le_bytes()), field("time", &time(message.log_time))];
+            let fields = [
+                field("op", &[2]),
+                field("conn", &id.to_le_bytes()),
+                field("time", &time(message.log_time)),
+            ];
             chunk.extend(record(&fields, &bytes(Wire::Ros1, &message.content)));
         }
         let fields = [
@@ -112,7 +124,7 @@ pub fn ros1(path: &Path, messages: &[Recorded], packing: &str) {
 /// An MCAP file of another maker: no index, no chunks, as little as the format needs.
 pub fn mcap(path: &Path, messages: &[Recorded], wire: Wire) {
     fn text(text: &str) -> Vec<u8> {
-        [&(text.len() as u32).to_le_bytes(), text.as_bytes()].concat()
+        [&(text.len() as u32).to_le_bytes()[..], text.as_bytes()].concat()
     }
     fn put(file: &mut Vec<u8>, opcode: u8, parts: &[&[u8]]) {
         let body = parts.concat();
@@ -132,11 +144,19 @@ pub fn mcap(path: &Path, messages: &[Recorded], wire: Wire) {
             let kind = message.kind.replace('/', "/msg/");
             put(&mut file, 3, &[&number, &text(&kind), &text("ros2msg"), &text("")]);
             let encoding = if wire == Wire::Ros1 { "ros1" } else { "cdr" };
-            put(&mut file, 4, &[&number, &number, &text(message.topic), &text(encoding), &text("")]);
+            put(
+                &mut file,
+                4,
+                &[&number, &number, &text(message.topic), &text(encoding), &text("")],
+            );
         }
         let time = (message.log_time as u64).to_le_bytes();
         let sequence = (sequence as u32).to_le_bytes();
-        put(&mut file, 5, &[&number, &sequence, &time, &time, &bytes(wire, &message.content)]);
+        put(
+            &mut file,
+            5,
+            &[&number, &sequence, &time, &time, &bytes(wire, &message.content)],
+        );
     }
     put(&mut file, 15, &[&[0; 4]]);
     put(&mut file, 2, &[&[0; 20]]);
@@ -208,7 +228,7 @@ impl Pages {
         };
         let mut next = 0u32;
         for rest in row[local..].chunks(PAGE - 4).rev() {
-            next = self.add([&next.to_be_bytes(), rest].concat());
+            next = self.add([&next.to_be_bytes()[..], rest].concat());
         }
         let mut cell = [varint(row.len() as u64), varint(rowid), row[..local].to_vec()].concat();
         if local < row.len() {
@@ -239,7 +259,11 @@ impl Pages {
 
     /// A table; gives its root.
     fn table(&mut self, rows: &[Vec<u8>]) -> u32 {
-        let cells: Vec<Vec<u8>> = rows.iter().enumerate().map(|(k, row)| self.cell(k as u64 + 1, row)).collect();
+        let cells: Vec<Vec<u8>> = rows
+            .iter()
+            .enumerate()
+            .map(|(k, row)| self.cell(k as u64 + 1, row))
+            .collect();
         let (mut leaves, mut leaf, mut size) = (Vec::new(), Vec::new(), 8);
         for (k, cell) in cells.iter().enumerate() {
             if size + cell.len() + 2 > PAGE {
@@ -271,13 +295,23 @@ pub fn db3(path: &Path, messages: &[Recorded], wire: Wire, packed: bool) {
         if packed {
             data = zstd::bulk::compress(&data, 1).unwrap();
         }
-        rows.push(row(&[Cell::Null, Cell::Integer(id), Cell::Integer(message.log_time), Cell::Blob(&data)]));
+        rows.push(row(&[
+            Cell::Null,
+            Cell::Integer(id),
+            Cell::Integer(message.log_time),
+            Cell::Blob(&data),
+        ]));
     }
     let topics: Vec<Vec<u8>> = known
         .iter()
         .map(|(topic, (id, kind))| {
             let kind = kind.replace('/', "/msg/");
-            row(&[Cell::Integer(*id), Cell::Text(topic), Cell::Text(&kind), Cell::Text("cdr")])
+            row(&[
+                Cell::Integer(*id),
+                Cell::Text(topic),
+                Cell::Text(&kind),
+                Cell::Text("cdr"),
+            ])
         })
         .collect();
     let tables = [

@@ -20,7 +20,12 @@ pub fn describe(paths: &[&PathBuf], json: bool, map: Option<&Path>) -> Result<bo
     match (Draft::of(&surveys), map) {
         (Ok(draft), Some(file)) => {
             let written = File::create_new(file).and_then(|mut file| file.write_all(draft.to_string().as_bytes()));
-            written.wrap_err_with(|| format!("cannot write `{}`; remove it first, or choose another place", file.display()))?;
+            written.wrap_err_with(|| {
+                format!(
+                    "cannot write `{}`; remove it first, or choose another place",
+                    file.display()
+                )
+            })?;
         }
         (Ok(draft), None) if !json => println!("\na first map file for `realo-lab import bag --map`:\n{draft}"),
         (Ok(_), None) => {}
