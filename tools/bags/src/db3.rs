@@ -6,7 +6,7 @@ use std::sync::Arc;
 
 use realo_schemas::Nanos;
 
-use crate::source::plain_kind;
+use crate::source::{believed, plain_kind};
 use crate::sqlite::{Column, Database, Place, Table};
 use crate::{Bag, BagError, Connection, Encoding, Message, Messages};
 
@@ -65,7 +65,7 @@ impl Db3 {
                 && let Some(connection) = known.get(topic)
             {
                 connections[*connection].messages += 1;
-                rows.push((*time, *connection, place));
+                rows.push((believed(*time), *connection, place));
             }
         });
         match scanned {

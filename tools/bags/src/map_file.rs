@@ -154,9 +154,9 @@ impl MapFile {
             }
             if agent
                 .offset
-                .is_some_and(|offset| !offset.is_finite() || offset.abs() > 1e10)
+                .is_some_and(|offset| !offset.is_finite() || offset.abs() > 4e9)
             {
-                return wrong("offset: expected seconds within ±10¹⁰".into());
+                return wrong("offset: expected seconds within ±4·10⁹".into());
             }
             if let Some((frame, _)) = agent
                 .mounts

@@ -6,7 +6,7 @@ use std::path::Path;
 use realo_logs::{McapFile, RECORDING_RECORD};
 use realo_schemas::Nanos;
 
-use crate::source::plain_kind;
+use crate::source::{believed, plain_kind};
 use crate::{Bag, BagError, Connection, Encoding, Message, Messages};
 
 /// Name of the metadata record of a log of realo.
@@ -61,9 +61,8 @@ impl Mcap {
     }
 }
 
-/// Times beyond the year 2262 are no times.
 fn nanos(time: u64) -> Nanos {
-    Nanos::try_from(time).unwrap_or(Nanos::MAX)
+    believed(Nanos::try_from(time).unwrap_or(Nanos::MAX))
 }
 
 impl Bag for Mcap {

@@ -76,6 +76,14 @@ pub(crate) fn plain_kind(kind: &str) -> String {
     kind.replacen("/msg/", "/", 1)
 }
 
+/// The latest time that is believed, ns; so differences of times do not overflow.
+const LATEST: Nanos = 5_000_000_000_000_000_000;
+
+/// A log time as far as it is believed.
+pub(crate) fn believed(log_time: Nanos) -> Nanos {
+    log_time.clamp(0, LATEST)
+}
+
 /// A message of a bag.
 #[derive(Clone, Debug)]
 pub struct Message {
@@ -91,7 +99,7 @@ impl Message {
     pub(crate) fn new(connection: usize, log_time: Nanos, bytes: Arc<Vec<u8>>, body: Range<usize>) -> Self {
         Message {
             connection,
-            log_time,
+            log_time: believed(log_time),
             bytes,
             body,
         }

@@ -145,7 +145,10 @@ fn of_bag(import: &Import, small: &Small, bag: usize, words: &mut Vec<String>) -
     let equal = seen.filter_map(|(hash, time)| Some(first.get(hash).copied()??.saturating_sub((*time)?)));
     let mut equal: Vec<Nanos> = equal.collect();
     let offset = median(&mut equal).filter(|_| equal.len() >= LEAST_EQUAL)?;
-    let mut spread: Vec<Nanos> = equal.iter().map(|other| (other - offset).abs()).collect();
+    let mut spread: Vec<Nanos> = equal
+        .iter()
+        .map(|other| other.saturating_sub(offset).saturating_abs())
+        .collect();
     let spread = median(&mut spread)?;
     if spread > SPREAD {
         return None;

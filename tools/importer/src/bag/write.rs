@@ -198,7 +198,8 @@ fn state(
     let clouds: Vec<String> = agent.clouds.iter().map(|topic| format!("`{}`", topic.name)).collect();
     let summary = BagAgent {
         name: agent.name.clone(),
-        height_m: height,
+        // To the centimetre, and 0 without a sign.
+        height_m: (height * 100.0).round() / 100.0 + 0.0,
         clouds: clouds.join(" and "),
         pose_words: format!("{}{}", track.words, track.step_words()),
         times: words(|heads| &heads.time_words),
