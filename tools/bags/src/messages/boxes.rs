@@ -149,12 +149,17 @@ fn detection(input: &mut CdrReader, array_frame: &str, form: DetectionForm) -> R
 
 fn skip_cloud(input: &mut CdrReader) -> Result<(), CdrError> {
     input.header()?;
-    (input.u32()?, input.u32()?);
+    input.u32()?;
+    input.u32()?;
     for _ in 0..input.length(13)? {
         input.string()?;
-        (input.u32()?, input.u8()?, input.u32()?);
+        input.u32()?;
+        input.u8()?;
+        input.u32()?;
     }
-    (input.bool()?, input.u32()?, input.u32()?);
+    input.bool()?;
+    input.u32()?;
+    input.u32()?;
     input.bytes()?;
     input.bool()?;
     Ok(())
@@ -204,7 +209,9 @@ fn marker(input: &mut CdrReader, form: MarkerForm) -> Result<(Nanos, Option<Obje
     for _ in 0..4 {
         input.f32()?;
     }
-    (input.u32()?, input.u32()?, input.bool()?);
+    input.u32()?;
+    input.u32()?;
+    input.bool()?;
     for _ in 0..input.length(24)? {
         input.f64s::<3>()?;
     }

@@ -1,7 +1,5 @@
 //! The agents of the map file, with their topics found in the bags.
 
-use std::path::Path;
-
 use realo_bags::map_file::{AgentMap, MapFile, PoseSource};
 use realo_bags::messages::Kind;
 use realo_bags::{Bag, Encoding};
@@ -123,24 +121,26 @@ fn bag_of(bags: &[Box<dyn Bag>], map: &AgentMap) -> Result<usize, String> {
     match (&map.bag, bags) {
         (None, [_]) => Ok(0),
         (None, _) => {
-            let holds = |bag: &&Box<dyn Bag>| bag.connections().iter().any(|c| c.topic == map.clouds[0]);
-            match bags.iter().filter(holds).count() {
-                1 => Ok(bags.iter().position(|bag| holds(&bag)).unwrap_or_default()),
-                found => Err(format!(
-                    "bag: {found} of the bags have the topic `{}`; name one of {}",
+            let holds = |bag: &dyn Bag| bag.connections().iter().any(|c| c.topic == map.clouds[0]);
+            let holders: Vec<usize> = (0..bags.len()).filter(|place| holds(bags[*place].as_ref())).collect();
+            match holders[..] {
+                [only] => Ok(only),
+                _ => Err(format!(
+                    "bag: {} of the bags have the topic `{}`; name one of {}",
+                    holders.len(),
                     map.clouds[0].escape_debug(),
                     has()
                 )),
             }
         }
         (Some(wanted), _) => {
-            let is = |bag: &Box<dyn Bag>| {
-                let path: &Path = bag.path();
+            let is = |bag: &dyn Bag| {
+                let path = bag.path();
                 path == wanted || path.file_name() == wanted.file_name() || path.file_stem() == Some(wanted.as_os_str())
             };
             let exact = bags.iter().position(|bag| bag.path() == wanted);
             exact
-                .or_else(|| bags.iter().position(is))
+                .or_else(|| bags.iter().position(|bag| is(bag.as_ref())))
                 .ok_or_else(|| format!("bag: expected one of {}, found `{}`", has(), wanted.display()))
         }
     }
