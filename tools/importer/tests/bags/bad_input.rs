@@ -37,7 +37,7 @@ fn a_cut_bag_gives_its_whole_chunks_and_says_what_is_lost() {
             "{note}"
         );
         let sweeps = summary.agents[0].sweeps as i64;
-        assert!(sweeps >= SWEEPS / 2 && sweeps < SWEEPS, "{packing}: {sweeps}");
+        assert!((SWEEPS / 2..SWEEPS).contains(&sweeps), "{packing}: {sweeps}");
     }
 }
 
