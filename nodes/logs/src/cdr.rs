@@ -1,4 +1,5 @@
-//! The part of CDR (XCDR1, little endian) that ROS 2 messages need. Alignment counts from the body, after the 4-byte head.
+//! The part of CDR (XCDR1) that ROS 2 messages need. Alignment counts from the body, after the 4-byte head. Logs are little endian;
+//! bags of others may be big endian, or in the serialisation of ROS 1.
 
 use realo_schemas::Nanos;
 
@@ -107,10 +108,20 @@ impl<'a> CdrWriter<'a> {
 /// Why a CDR payload could not be read.
 pub type CdrError = String;
 
-/// Reads one CDR payload; checks every length against what is there.
+/// How the fields of a message are laid out.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+enum Wire {
+    CdrLittle,
+    CdrBig,
+    /// Little endian without alignment; texts have no closing zero, headers a number, and seconds no sign.
+    Ros1,
+}
+
+/// Reads one payload; checks every length against what is there.
 pub struct CdrReader<'a> {
     body: &'a [u8],
     at: usize,
+    wire: Wire,
 }
 
 impl<'a> CdrReader<'a> {
@@ -120,7 +131,7 @@ impl<'a> CdrReader<'a> {
     /// Another encoding than little-endian CDR.
     pub fn new(payload: &'a [u8]) -> Result<Self, CdrError> {
         match payload {
-            [0, 1, _, _, body @ ..] => Ok(CdrReader { body, at: 0 }),
+            [0, 1, _, _, body @ ..] => Ok(Self::of(body, Wire::CdrLittle)),
             [a, b, _, _, ..] => Err(format!(
                 "expected little-endian CDR (head 00 01), found head {a:02x} {b:02x}"
             )),
@@ -128,8 +139,44 @@ impl<'a> CdrReader<'a> {
         }
     }
 
+    /// Starts behind the head of CDR of either byte order.
+    ///
+    /// # Errors
+    /// Another encoding than plain CDR.
+    pub fn any_cdr(payload: &'a [u8]) -> Result<Self, CdrError> {
+        match payload {
+            [0, 0, _, _, body @ ..] => Ok(Self::of(body, Wire::CdrBig)),
+            [a, b, _, _, ..] if (*a, *b) > (0, 1) => Err(format!(
+                "expected plain CDR (head 00 00 or 00 01), found head {a:02x} {b:02x}"
+            )),
+            _ => Self::new(payload),
+        }
+    }
+
+    /// Starts a message in the serialisation of ROS 1, which has no head.
+    pub fn ros1(payload: &'a [u8]) -> Self {
+        Self::of(payload, Wire::Ros1)
+    }
+
+    fn of(body: &'a [u8], wire: Wire) -> Self {
+        CdrReader { body, at: 0, wire }
+    }
+
+    /// Whether the message is in the serialisation of ROS 1.
+    pub fn is_ros1(&self) -> bool {
+        self.wire == Wire::Ros1
+    }
+
+    /// Bytes that are not read yet.
+    pub fn rest(&self) -> usize {
+        self.left(self.at)
+    }
+
     fn take(&mut self, size: usize, align: usize) -> Result<&'a [u8], CdrError> {
-        let start = self.at.next_multiple_of(align);
+        let start = match self.wire {
+            Wire::Ros1 => self.at,
+            Wire::CdrLittle | Wire::CdrBig => self.at.next_multiple_of(align),
+        };
         let bytes = start.checked_add(size).and_then(|end| self.body.get(start..end));
         let bytes =
             bytes.ok_or_else(|| format!("expected {size} more bytes at byte {start}, found {}", self.left(start)))?;
@@ -143,7 +190,10 @@ impl<'a> CdrReader<'a> {
 
     fn array<const N: usize>(&mut self) -> Result<[u8; N], CdrError> {
         let bytes = self.take(N, N)?;
-        Ok(std::array::from_fn(|i| bytes[i]))
+        Ok(match self.wire {
+            Wire::CdrBig => std::array::from_fn(|i| bytes[N - 1 - i]),
+            Wire::CdrLittle | Wire::Ros1 => std::array::from_fn(|i| bytes[i]),
+        })
     }
 
     /// One byte.
@@ -174,6 +224,11 @@ impl<'a> CdrReader<'a> {
     /// 64 bits.
     pub fn u64(&mut self) -> Result<u64, CdrError> {
         self.array().map(u64::from_le_bytes)
+    }
+
+    /// Single precision.
+    pub fn f32(&mut self) -> Result<f32, CdrError> {
+        self.array().map(f32::from_le_bytes)
     }
 
     /// Double precision.
@@ -218,12 +273,18 @@ impl<'a> CdrReader<'a> {
 
     /// `builtin_interfaces/Time`.
     pub fn time(&mut self) -> Result<Nanos, CdrError> {
-        let seconds = self.i32()?;
-        Ok(i64::from(seconds) * 1_000_000_000 + i64::from(self.u32()?))
+        let seconds = match self.wire {
+            Wire::Ros1 => i64::from(self.u32()?),
+            Wire::CdrLittle | Wire::CdrBig => i64::from(self.i32()?),
+        };
+        Ok(seconds * 1_000_000_000 + i64::from(self.u32()?))
     }
 
     /// `std_msgs/Header`: stamp and frame.
     pub fn header(&mut self) -> Result<(Nanos, &'a str), CdrError> {
+        if self.is_ros1() {
+            self.u32()?;
+        }
         Ok((self.time()?, self.string()?))
     }
 }
@@ -246,6 +307,33 @@ mod tests {
         assert_eq!(reader.f64().unwrap(), 0.1);
         assert_eq!(reader.bytes().unwrap(), [4, 5]);
         assert!(reader.u8().unwrap_err().contains("found 0"));
+    }
+
+    #[test]
+    fn reads_both_byte_orders_and_ros_1() {
+        let big = [
+            &[0, 0, 0, 0, 0, 0, 0, 5, 0, 0, 0, 7, 0, 0, 0, 3][..],
+            b"ab\0",
+            &[0],
+            &1.5f64.to_be_bytes(),
+        ]
+        .concat();
+        let mut reader = CdrReader::any_cdr(&big).unwrap();
+        assert_eq!(reader.header().unwrap(), (5_000_000_007, "ab"));
+        assert_eq!((reader.f64().unwrap(), reader.rest()), (1.5, 0));
+        let ros1 = [
+            &[9, 0, 0, 0, 5, 0, 0, 0, 7, 0, 0, 0, 2, 0, 0, 0][..],
+            b"ab",
+            &1.5f64.to_le_bytes(),
+        ]
+        .concat();
+        let mut reader = CdrReader::ros1(&ros1);
+        assert_eq!(reader.header().unwrap(), (5_000_000_007, "ab"));
+        assert_eq!((reader.f64().unwrap(), reader.rest()), (1.5, 0));
+        for head in [[0, 3, 0, 0], [1, 1, 0, 0]] {
+            assert!(CdrReader::any_cdr(&head).err().unwrap().contains("plain CDR"));
+        }
+        assert!(CdrReader::any_cdr(&[0, 0]).is_err());
     }
 
     #[test]

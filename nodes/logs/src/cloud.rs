@@ -6,7 +6,8 @@ use nalgebra::{Isometry3, Point3};
 use realo_schemas::{Nanos, PointCloud};
 
 use crate::cdr::{CdrError, CdrReader, CdrWriter};
-use crate::times::{Look, TimeRule, TimeType};
+use crate::times::TimeType;
+pub use crate::times::{Look, TimeRule};
 use points::{Field, Number, Points, read_fields};
 
 /// Bytes per point as we write them: x y z, intensity, a byte of padding, ring, time.
@@ -73,7 +74,7 @@ pub fn decode(payload: &[u8]) -> Result<(Nanos, PointCloud), CdrError> {
 
 /// How the fields of a cloud are read.
 #[derive(Clone, Copy, Debug)]
-pub(crate) struct Reading {
+pub struct Reading {
     /// What intensities are multiplied by.
     pub scale: f32,
     /// How times are read, where there are some.
@@ -104,10 +105,17 @@ impl<'a> CloudReader<'a> {
     /// # Errors
     /// Says which field or length does not fit.
     pub fn new(payload: &'a [u8]) -> Result<Self, CdrError> {
-        let mut input = CdrReader::new(payload)?;
+        Self::read(&mut CdrReader::new(payload)?)
+    }
+
+    /// Reads all but the points of a message in any serialisation.
+    ///
+    /// # Errors
+    /// Says which field or length does not fit.
+    pub fn read(input: &mut CdrReader<'a>) -> Result<Self, CdrError> {
         let (stamp, frame) = input.header()?;
         let (height, width) = (input.u32()? as usize, input.u32()? as usize);
-        let fields = read_fields(&mut input)?;
+        let fields = read_fields(input)?;
         let big_endian = input.bool()?;
         let (step, row_step) = (input.u32()? as usize, input.u32()? as usize);
         let data = input.bytes()?;
@@ -146,7 +154,7 @@ impl<'a> CloudReader<'a> {
     }
 
     /// What the times of the points look like; `None` without any.
-    pub(crate) fn look(&self) -> Option<Look> {
+    pub fn look(&self) -> Option<Look> {
         let field = self.time_field()?;
         let (mut ends, mut points) = ([f64::INFINITY, f64::NEG_INFINITY], 0);
         for (value, there) in self.points.column::<f64>(field).into_iter().zip(self.returns()) {
@@ -172,7 +180,10 @@ impl<'a> CloudReader<'a> {
     }
 
     /// How times are read, by sweeps of the same topic; `None` without a field of times.
-    pub(crate) fn time_rule(&self, looks: &[Look]) -> Result<Option<TimeRule>, CdrError> {
+    ///
+    /// # Errors
+    /// Times that no rule explains.
+    pub fn time_rule(&self, looks: &[Look]) -> Result<Option<TimeRule>, CdrError> {
         let Some(field) = self.time_field() else {
             return Ok(None);
         };
@@ -198,6 +209,16 @@ impl<'a> CloudReader<'a> {
         )
     }
 
+    /// Names of the fields with their types.
+    pub fn field_names(&self) -> impl Iterator<Item = (&'a str, &'static str)> {
+        self.fields.iter().map(|field| (field.name, field.type_name()))
+    }
+
+    /// How many points there are, with directions without a return.
+    pub fn points(&self) -> usize {
+        self.points.count
+    }
+
     /// Type of the intensities.
     pub fn intensity(&self) -> Option<&'static str> {
         self.find("intensity").map(Field::type_name)
@@ -216,7 +237,7 @@ impl<'a> CloudReader<'a> {
     ///
     /// # Errors
     /// A field that is missing; a time or a beam that does not fit.
-    pub(crate) fn cloud(&self, reading: &Reading) -> Result<(PointCloud, u64), CdrError> {
+    pub fn cloud(&self, reading: &Reading) -> Result<(PointCloud, u64), CdrError> {
         let points = &self.points;
         let [x, y, z] = self.places(reading.to.as_ref())?;
         let nothing = points.count;

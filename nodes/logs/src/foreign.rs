@@ -50,11 +50,17 @@ pub(crate) fn not_mcap(path: &Path, head: &[u8]) -> String {
     format!("expected it to start with 89 4d 43 41 50, found {found:02x?}; {GUIDE}")
 }
 
+/// How a bag becomes a log.
+fn imported(path: &Path) -> String {
+    format!("`realo-lab import bag {} -o LOG` makes a log of it", path.display())
+}
+
 fn sqlite(path: &Path) -> String {
     let held = path.parent().and_then(of_metadata).filter(|held| held != NONE);
     format!(
-        "{}convert it (`ros2 bag convert`, with storage mcap), then bring its topics into a log: {GUIDE}",
-        held.map_or(String::new(), |held| format!("it holds {held}; "))
+        "{}{}",
+        held.map_or(String::new(), |held| format!("it holds {held}; ")),
+        imported(path)
     )
 }
 
@@ -82,7 +88,7 @@ pub(crate) fn folder(path: &Path) -> String {
     let topics = metadata.filter(|topics| topics != NONE);
     let topics = topics.or_else(|| opened.first().map(of_mcap));
     let held = topics.map_or(String::new(), |topics| format!("it holds {topics}; "));
-    format!("{what}; {held}bring its topics into a log: {GUIDE}")
+    format!("{what}; {held}{}", imported(path))
 }
 
 /// Topics with types by the `metadata.yaml` of a bag's folder.
@@ -143,11 +149,12 @@ fn file_name(path: &Path) -> String {
 fn rosbag1(path: &Path) -> String {
     let held = rosbag1_topics(path).unwrap_or_default();
     format!(
-        "{}convert it (`rosbags-convert`, from the package rosbags), then bring its topics into a log: {GUIDE}",
+        "{}{}",
         match held.is_empty() {
             true => String::new(),
             false => format!("it holds {}; ", list(held)),
-        }
+        },
+        imported(path)
     )
 }
 
@@ -209,8 +216,8 @@ mod tests {
             ),
             (b"\x28\xb5\x2f\xfd\x04", ["zstd", "`zstd -d a/b.mcap`"]),
             (b"\x1f\x8b\x08", ["gzip", "gunzip"]),
-            (b"SQLite format 3\0", ["SQLite", "ros2 bag convert"]),
-            (b"#ROSBAG V2.0\n", ["ROS 1", "python/realo_log.py"]),
+            (b"SQLite format 3\0", ["SQLite", "realo-lab import bag a/b.mcap"]),
+            (b"#ROSBAG V2.0\n", ["ROS 1", "realo-lab import bag a/b.mcap"]),
             (b"", ["empty", "copy"]),
             (b"hello", ["found [68, 65, 6c, 6c, 6f]", "docs/reference/log-format.md"]),
         ] {
@@ -234,7 +241,7 @@ mod tests {
         for part in [
             "files: bag_0.mcap, bag_1.db3)",
             "/imu (sensor_msgs/msg/Imu), /points (sensor_msgs/msg/PointCloud2);",
-            "docs/reference/log-format.md",
+            "realo-lab import bag",
         ] {
             assert!(found.contains(part), "{found}");
         }

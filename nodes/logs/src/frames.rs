@@ -13,9 +13,9 @@ use crate::{LogError, MAX_GAP, McapFile, Schema};
 /// Topics of transforms; what is on the first holds for all times.
 const STATIC: &str = "/tf_static";
 pub(crate) const TOPICS: [&str; 2] = [STATIC, "/tf"];
-/// Frames of a log by their name.
+/// Frames by their name, and how each lies in its parent.
 #[derive(Debug, Default)]
-pub(crate) struct Frames {
+pub struct Frames {
     edges: BTreeMap<String, Edge>,
 }
 
@@ -37,7 +37,7 @@ const SAME: [f64; 2] = [1e-3, 1e-4];
 
 /// Why no way leads from a frame to another.
 #[derive(Clone, Debug, PartialEq)]
-pub(crate) enum NoWay {
+pub enum NoWay {
     /// At this time no transform is near enough, in words.
     Gap(String),
     /// At no time, in words.
@@ -46,7 +46,8 @@ pub(crate) enum NoWay {
 
 /// The way from a frame to another.
 #[derive(Debug, PartialEq)]
-pub(crate) struct Way {
+pub struct Way {
+    /// Brings what lies in the one frame into the other.
     pub to_from_from: Isometry3<f64>,
     /// Topics whose transforms lead there.
     pub by: BTreeSet<&'static str>,
@@ -54,7 +55,7 @@ pub(crate) struct Way {
 
 impl Frames {
     /// All transforms of a file.
-    pub fn read(file: &McapFile) -> Result<Self, LogError> {
+    pub(crate) fn read(file: &McapFile) -> Result<Self, LogError> {
         let mut frames = Frames::default();
         let topics: BTreeMap<u16, &'static str> = file
             .channels()
@@ -75,6 +76,26 @@ impl Frames {
             }
         }
         Ok(frames)
+    }
+
+    /// Adds a transform, on `/tf_static` if it holds for all times. A leading `/` of a frame counts for nothing.
+    pub fn insert(
+        &mut self,
+        is_static: bool,
+        stamp: Nanos,
+        parent: &str,
+        child: &str,
+        parent_from_child: Isometry3<f64>,
+    ) {
+        let topic = TOPICS[usize::from(!is_static)];
+        self.add(topic, stamp, bare(parent), bare(child), parent_from_child);
+    }
+
+    /// Each frame with its parent, and whether it is fixed to it.
+    pub fn parents(&self) -> impl Iterator<Item = (&str, &str, bool)> {
+        self.edges
+            .iter()
+            .map(|(child, edge)| (child.as_str(), edge.parent.as_str(), edge.topic == STATIC))
     }
 
     fn add(&mut self, topic: &'static str, stamp: Nanos, parent: &str, child: &str, pose: Isometry3<f64>) {
@@ -106,6 +127,9 @@ impl Frames {
     }
 
     /// How to bring what lies in `from` into `to`, at a time.
+    ///
+    /// # Errors
+    /// Why nothing leads there at this time, or at any.
     pub fn way(&self, to: &str, from: &str, stamp: Nanos) -> Result<Way, NoWay> {
         let (up, down) = (self.ancestors(from, stamp), self.ancestors(to, stamp));
         let common = up
@@ -278,8 +302,8 @@ impl Edge {
     }
 }
 
-/// ROS 1 begins names with a slash.
-pub(crate) fn bare(frame: &str) -> &str {
+/// The name of a frame without the slash that ROS 1 begins it with.
+pub fn bare(frame: &str) -> &str {
     frame.strip_prefix('/').unwrap_or(frame)
 }
 

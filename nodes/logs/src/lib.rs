@@ -77,6 +77,7 @@ pub use clocks::{BEHIND_MOST, PeerClock, Step, clock_words, kind_of_clock};
 pub use describe::{Described, Description, RecordingDescription, TopicInfo, describe, describe_any};
 pub use error::LogError;
 pub use findings::{SWEEPS_OF_TWO_TOPICS, UNDECLARED, WRONG_COVARIANCES, sweeps_of_one_topic};
+pub use frames::{Frames, NoWay, Way, bare};
 pub use gaps::{Bare, Gaps, Lack, Missing, SWEEPS_MISSING, SWEEPS_WITHOUT_DETECTIONS};
 pub use geodesy::MapOrigin;
 pub use info::{AgentInfo, AgentKind, ClockError, Levelled, LogInfo, program};

@@ -143,7 +143,10 @@ pub(crate) fn parts(pose: &Isometry3<f64>) -> [f64; 7] {
 const UNIT: f64 = 0.01;
 
 /// The pose of seven numbers. A quaternion that has length 1 to rounding is kept as it is, so that poses survive a log.
-pub(crate) fn isometry(numbers: &[f64; 7]) -> Result<Isometry3<f64>, CdrError> {
+///
+/// # Errors
+/// Numbers that are not finite; a quaternion of another length than 1.
+pub fn isometry(numbers: &[f64; 7]) -> Result<Isometry3<f64>, CdrError> {
     let [x, y, z, i, j, k, w] = *numbers;
     let quaternion = Quaternion::new(w, i, j, k);
     let norm = quaternion.norm();

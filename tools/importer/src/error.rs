@@ -1,6 +1,7 @@
 use std::io;
 use std::path::{Path, PathBuf};
 
+use realo_bags::BagError;
 use realo_logs::LogError;
 
 /// Why a dataset could not be imported.
@@ -72,6 +73,9 @@ pub enum ImportError {
     /// An option that cannot be taken.
     #[error("{0}")]
     Option(String),
+    /// A bag, or its map file.
+    #[error(transparent)]
+    Bag(#[from] BagError),
     /// The log.
     #[error(transparent)]
     Log(#[from] LogError),

@@ -1,5 +1,6 @@
 //! The kinds of data sets: one trait, one registry, and which kind a folder is.
 
+mod bag;
 mod dair;
 mod family;
 mod job;
@@ -25,6 +26,8 @@ pub struct Kind {
     pub needs: &'static str,
     /// What is counted while it is imported.
     pub unit: &'static str,
+    /// What is given to the import, if that is not one folder.
+    pub paths: Option<&'static str>,
     /// Options that it takes, each with its default, empty where there is none.
     pub options: &'static [(&'static str, &'static str)],
 }
@@ -63,7 +66,7 @@ pub trait Importer: Sync {
     /// What it is.
     fn kind(&self) -> &'static Kind;
 
-    /// Why a folder is of this kind.
+    /// Why a folder, or a file, is of this kind.
     ///
     /// # Errors
     /// Why it is not.
@@ -83,6 +86,7 @@ pub static KINDS: &[&dyn Importer] = &[
     &v2x_real::V2X_REAL,
     &v2v4real::V2V4REAL,
     &kitti::Kitti,
+    &bag::RosBag,
 ];
 
 /// A kind by its name.
@@ -137,7 +141,7 @@ mod tests {
             "{error}"
         );
         assert!(
-            importer("bag")
+            importer("rosbags")
                 .err()
                 .unwrap()
                 .to_string()

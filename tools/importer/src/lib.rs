@@ -2,8 +2,9 @@
 //!
 //! [`KINDS`] has the kinds of data sets, each behind the trait [`Importer`]; [`look_at`] says which of them a folder is. DAIR-V2X-C
 //! ([`dair`]) are pairs of a vehicle's and a roadside unit's LiDAR sweeps with labels. The others are scenes of agents with a cloud
-//! and labels for each frame. [`relevel`] makes the body frames of a log level that are not.
+//! and labels for each frame. Bags of ROS are recordings of topics, and a map file says whose they are. [`relevel`] makes the body frames of a log level that are not.
 
+mod bag;
 mod clouds;
 mod dair;
 mod error;
@@ -19,6 +20,7 @@ mod rows;
 mod scenes;
 mod yaml;
 
+pub use bag::{BagAgent, BagSummary};
 pub use dair::{DairOptions, DairStep, ROADSIDE, RoadsideStamp, Summary, VEHICLE, dair, dair_with, lidar_height};
 pub use error::ImportError;
 pub use kinds::{Imported, Importer, Job, KINDS, Kind, Seen, importer, list, look_at};

@@ -1,5 +1,7 @@
 //! How a data set is imported: one table of options for all kinds.
 
+use std::path::PathBuf;
+
 use crate::dair::RoadsideStamp;
 use crate::level::Level;
 
@@ -36,6 +38,11 @@ const fn choice(
 
 /// All options; each kind of data set takes some of them.
 pub const OPTIONS: &[OptionInfo] = &[
+    option(
+        "map",
+        "FILE",
+        "Whose topics and frames are which, in YAML; `realo info BAG` prints a first draft [default: that draft]",
+    ),
     option(
         "scenes",
         "NAMES",
@@ -155,6 +162,10 @@ pub enum Handed {
 /// How a data set is imported.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
+    /// Says whose topics and frames of a bag are which.
+    pub map: Option<PathBuf>,
+    /// Further bags of the same log.
+    pub more: Vec<PathBuf>,
     /// Scenes that are wanted; all where empty.
     pub scenes: Vec<String>,
     /// Agents that are wanted; all where empty.
@@ -190,6 +201,8 @@ pub struct Options {
 impl Default for Options {
     fn default() -> Self {
         Options {
+            map: None,
+            more: Vec::new(),
             scenes: Vec::new(),
             agents: Vec::new(),
             frames: [0, u64::MAX],
@@ -224,6 +237,7 @@ impl Options {
             return Err(expected(&info.choices.join(" or ")));
         }
         match name {
+            "map" => self.map = Some(text.into()),
             "scenes" => self.scenes = list(text),
             "agents" => self.agents = list(text),
             "frames" => self.frames = range(text).ok_or_else(|| expected("`FROM..TO`, as `0..50`"))?,

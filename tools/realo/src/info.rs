@@ -1,4 +1,6 @@
-//! `realo info`: what a log or a recording holds.
+//! `realo info`: what a log, a recording or a bag holds.
+
+mod bags;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
@@ -12,21 +14,30 @@ use realo_results::{Run, Settings};
 
 use crate::truth_reader::TruthReader;
 
-/// Describes a log, or a recording of a run
+/// Describes a log, a recording of a run, or a bag of ROS
+///
+/// Of bags it prints the topics by type, and a first draft of the map file for `realo-lab import bag`.
 #[derive(clap::Args)]
 pub struct Args {
-    /// MCAP files
+    /// MCAP files; bags of ROS 1, and folders or files of bags of ROS 2
     #[arg(required = true)]
     logs: Vec<PathBuf>,
     /// As JSON
     #[arg(long)]
     json: bool,
+    /// Write the draft of the map file there, in place of printing it
+    #[arg(long, value_name = "FILE")]
+    map: Option<PathBuf>,
 }
 
 /// Prints a description of each file; one that is truncated or has problems is reported and ends with 3.
 pub fn main(args: &Args) -> Result<Outcome> {
     let mut outcome = Outcome::Complete;
-    for path in &args.logs {
+    let (bags, logs): (Vec<_>, Vec<_>) = args.logs.iter().partition(|path| realo_bags::recognise(path).is_ok());
+    if !bags.is_empty() && bags::describe(&bags, args.json, args.map.as_deref())? {
+        outcome = Outcome::Partial;
+    }
+    for path in logs {
         let mut described = realo_logs::describe_any(path)?;
         let dropped = dropped_classes(&described);
         // What is wrong with others is known already, and may keep them from being played.

@@ -14,6 +14,7 @@ static KIND: Kind = Kind {
     title: "DAIR-V2X-C in its original layout, images missing or not",
     needs: "cooperative/, vehicle-side/ and infrastructure-side/, each with data_info.json",
     unit: "pairs",
+    paths: None,
     options: &[("roadside-stamp", "start"), ("level", "pose"), ("skip-incomplete", "")],
 };
 

@@ -3,6 +3,7 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use crate::bag::BagSummary;
 use crate::dair::Summary;
 use crate::scenes::{self, Layout, SceneSummary, Work};
 use crate::{ImportError, Options};
@@ -64,13 +65,15 @@ pub enum Imported {
     Dair(Summary),
     /// Of each scene, and what is missing of the data set besides.
     Scenes(Vec<SceneSummary>, String),
+    /// Of bags of ROS.
+    Bags(Box<BagSummary>),
 }
 
 impl Imported {
     /// The logs that were written; `None` where that is all that were asked for.
     pub fn logs(&self) -> Option<Vec<&Path>> {
         match self {
-            Imported::Dair(_) => None,
+            Imported::Dair(_) | Imported::Bags(_) => None,
             Imported::Scenes(scenes, _) => Some(scenes.iter().filter_map(|scene| scene.log.as_deref()).collect()),
         }
     }
@@ -80,6 +83,7 @@ impl fmt::Display for Imported {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         match self {
             Imported::Dair(summary) => write!(f, "{summary}"),
+            Imported::Bags(summary) => write!(f, "{summary}"),
             Imported::Scenes(scenes, noted) => {
                 let texts: Vec<String> = scenes.iter().map(SceneSummary::to_string).collect();
                 f.write_str(&texts.join("\n\n"))?;

@@ -27,6 +27,7 @@ static KIND: Kind = Kind {
     title: "KITTI's layout, one vehicle",
     needs: "velodyne/000000.bin, label_2/000000.txt, calib/000000.txt; poses.txt and times.txt where the frames follow each other",
     unit: "frames",
+    paths: None,
     options: &[
         ("frames", ""),
         ("rate", "10"),

@@ -17,6 +17,7 @@ static KIND: Kind = Kind {
     title: "OPV2V, V2XSet, Adver-City",
     needs: "SCENE/AGENT/000068.yaml with 000068.pcd beside it, also below SPLIT/",
     unit: "frames",
+    paths: None,
     options: &options("pose", "left", "pcd"),
 };
 

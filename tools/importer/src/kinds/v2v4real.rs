@@ -17,6 +17,7 @@ static KIND: Kind = Kind {
     title: "V2V4Real",
     needs: "SCENE/0/000000.yaml and SCENE/1/000000.yaml with 000000.pcd beside each, also below SPLIT/",
     unit: "frames",
+    paths: None,
     options: &options("ground", "right", "pcd"),
 };
 

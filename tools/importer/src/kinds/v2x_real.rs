@@ -17,6 +17,7 @@ static KIND: Kind = Kind {
     title: "V2X-Real",
     needs: "SCENE/AGENT/000030.yaml with 000030.bin or 000030.pcd beside it, also below SPLIT/; roadside AGENTs are negative",
     unit: "frames",
+    paths: None,
     options: &options("ground", "right", "bin"),
 };
 

@@ -44,7 +44,7 @@ impl fmt::Display for Residual {
             true => Ok(()),
             false => write!(
                 f,
-                "; expected below {FITS} m where both see the same: look at a picture of it, and try --handed and --pose-key"
+                "; expected below {FITS} m where both see the same: look at a picture of it, and at poses, frames, clocks and hands"
             ),
         }
     }

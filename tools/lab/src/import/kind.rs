@@ -12,8 +12,10 @@ use realo_importer::{Importer, KINDS, Kind, OptionInfo, Options, importer, optio
 pub struct KindArgs {
     /// The kind.
     pub importer: &'static dyn Importer,
-    /// The folder of the data set.
+    /// The folder of the data set, or the first bag.
     pub dir: PathBuf,
+    /// Further bags.
+    more: Vec<PathBuf>,
     /// A log, or a folder for a log of each scene.
     pub output: PathBuf,
     /// Whether the output may be replaced.
@@ -27,6 +29,7 @@ impl KindArgs {
     pub fn options(&self) -> Result<Options> {
         let kind = self.importer.kind();
         let mut options = kind.defaults();
+        options.more.clone_from(&self.more);
         for (name, text) in &self.set {
             kind.set(&mut options, name, text)?;
         }
@@ -35,11 +38,11 @@ impl KindArgs {
 }
 
 fn command(kind: &'static Kind) -> Command {
-    let dir = Arg::new("dir")
-        .value_name("FOLDER")
-        .required(true)
-        .value_parser(value_parser!(PathBuf))
-        .help("The folder of the data set");
+    let dir = Arg::new("dir").required(true).value_parser(value_parser!(PathBuf));
+    let dir = match kind.paths {
+        None => dir.value_name("FOLDER").help("The folder of the data set"),
+        Some(help) => dir.value_name("PATH").num_args(1..).help(help),
+    };
     let has_scenes = kind.options.iter().any(|(name, _)| *name == "scenes");
     let output = Arg::new("output")
         .short('o')
@@ -109,9 +112,11 @@ impl FromArgMatches for KindArgs {
             };
             Some((*name, text))
         };
+        let mut dirs = matches.get_many::<PathBuf>("dir").ok_or_else(missing)?.cloned();
         Ok(KindArgs {
             importer,
-            dir: path("dir")?,
+            dir: dirs.next().ok_or_else(missing)?,
+            more: dirs.collect(),
             output: path("output")?,
             force: Force::from_arg_matches(matches)?,
             set: importer.kind().options.iter().filter_map(text).collect(),
@@ -170,5 +175,10 @@ mod tests {
         .unwrap();
         assert_eq!(args.options().unwrap().level, realo_importer::Level::Ground);
         assert!(parsed(&["dair", "data", "-o", "out.mcap", "--handed", "left"]).is_err());
+        assert!(parsed(&["dair", "data", "more", "-o", "out.mcap"]).is_err());
+        let args = parsed(&["bag", "a.bag", "b.bag", "--map", "my.yml", "-o", "out.mcap"]).unwrap();
+        let options = args.options().unwrap();
+        assert_eq!((args.dir, options.more), ("a.bag".into(), vec!["b.bag".into()]));
+        assert_eq!(options.map, Some("my.yml".into()));
     }
 }

@@ -1,0 +1,302 @@
+//! A first draft of the map file, by what is in bags.
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fmt;
+use std::path::Path;
+
+use realo_logs::AgentKind;
+
+use crate::map_file::{AgentMap, Height, MapFile, PoseSource, StampClock, quoted};
+use crate::messages::Kind;
+use crate::survey::{Survey, TopicSurvey};
+
+/// A map file with why it says what it says.
+pub struct Draft {
+    /// The file.
+    pub map: MapFile,
+    /// Remarks by agent and field.
+    why: BTreeMap<(String, &'static str), String>,
+    /// Why the world's frame is what it is.
+    world: String,
+}
+
+/// Clouds that belong together.
+struct Group<'a> {
+    survey: &'a Survey,
+    space: String,
+    base: String,
+    clouds: Vec<&'a TopicSurvey>,
+}
+
+impl Draft {
+    /// Of bags that become one log.
+    ///
+    /// # Errors
+    /// No clouds.
+    pub fn of(surveys: &[Survey]) -> Result<Self, String> {
+        let groups: Vec<Group> = surveys.iter().flat_map(groups).collect();
+        if groups.is_empty() {
+            let kinds: BTreeSet<&str> = surveys
+                .iter()
+                .flat_map(|survey| survey.topics.iter().map(|topic| topic.kind.as_str()))
+                .filter(|kind| kind.contains("acket") || kind.contains("Scan"))
+                .collect();
+            let packets = match kinds.is_empty() {
+                true => String::new(),
+                false => format!(
+                    "; topics of packets ({}) are not read: play them through the sensor's driver and record its clouds",
+                    kinds.into_iter().collect::<Vec<_>>().join(", ")
+                ),
+            };
+            return Err(format!(
+                "expected a topic of sensor_msgs/PointCloud2 with messages, found none{packets}"
+            ));
+        }
+        let mut draft = Draft {
+            map: MapFile {
+                world: String::new(),
+                clock: StampClock::Header,
+                map_origin: None,
+                classes: BTreeMap::new(),
+                agents: BTreeMap::new(),
+            },
+            why: BTreeMap::new(),
+            world: String::new(),
+        };
+        let spaces: BTreeSet<String> = groups.iter().map(|group| group.space.clone()).collect();
+        for group in &groups {
+            draft.agent(group, &spaces, surveys.len() > 1, groups.len());
+        }
+        if draft.map.world.is_empty() {
+            draft.map.world = "map".into();
+            draft.world = "no pose names a frame".into();
+        }
+        Ok(draft)
+    }
+
+    fn agent(&mut self, group: &Group, spaces: &BTreeSet<String>, several: bool, groups: usize) {
+        let Group {
+            survey,
+            space,
+            base,
+            clouds,
+        } = group;
+        let stem = survey.path.file_stem().unwrap_or_default().to_string_lossy();
+        let wanted = match (space.is_empty(), several, groups) {
+            (false, ..) => space.clone(),
+            (true, true, _) => named(&stem),
+            (true, false, 1) => "ego".into(),
+            (true, false, _) => named(base),
+        };
+        let mut name = wanted.clone();
+        for number in 2.. {
+            if !self.map.agents.contains_key(&name) {
+                break;
+            }
+            name = format!("{wanted}_{number}");
+        }
+        let main = clouds
+            .iter()
+            .max_by_key(|topic| (topic.points, topic.messages))
+            .expect("a group has clouds");
+        let mut remark = |field, words: String| {
+            self.why.insert((name.clone(), field), words);
+        };
+        let others: Vec<&str> = clouds
+            .iter()
+            .filter(|topic| topic.topic != main.topic)
+            .map(|t| t.topic.as_str())
+            .collect();
+        if !others.is_empty() {
+            remark("clouds", format!("the most points; it has {} too", others.join(", ")));
+        }
+        let is_fixed_to = main.frames.iter().any(|frame| frame != base);
+        remark(
+            "frame",
+            match is_fixed_to {
+                true => format!(
+                    "`{}` is fixed to it",
+                    main.frames.iter().cloned().collect::<Vec<_>>().join(" ")
+                ),
+                false => "the frame of its clouds, which no transform fixes to another".into(),
+            },
+        );
+        let ours = |kind: Kind| {
+            let topics = survey.of_kind(kind).filter(|topic| topic.messages > 0);
+            topics.filter(|topic| {
+                let its = space_of(&topic.topic);
+                its == *space || (space.is_empty() && !spaces.contains(its)) || (!spaces.contains(its) && groups == 1)
+            })
+        };
+        let most = |kind: Kind| ours(kind).max_by_key(|topic| (topic.children.contains(base), topic.messages));
+        let posed = [Kind::Odometry, Kind::PoseStamped, Kind::PoseWithCovarianceStamped]
+            .into_iter()
+            .find_map(most);
+        let moves = survey.root_of(base) != *base;
+        let (pose, world, imu) = match (posed, moves, most(Kind::NavSatFix)) {
+            (Some(topic), ..) => {
+                let frame = topic.frames.iter().next().cloned().unwrap_or_default();
+                remark("pose", topic.kind.clone());
+                (PoseSource::Topic(topic.topic.clone()), survey.root_of(&frame), None)
+            }
+            (None, true, _) => {
+                let root = survey.root_of(base);
+                remark("pose", format!("transforms from `{root}` to `{base}`"));
+                (PoseSource::Tf, root, None)
+            }
+            (None, false, Some(fix)) => {
+                let imu = most(Kind::Imu).map(|topic| topic.topic.clone());
+                remark(
+                    "pose",
+                    "positions; the first one is the map's origin where `map_origin` says no other".into(),
+                );
+                (PoseSource::Topic(fix.topic.clone()), "map".into(), imu)
+            }
+            (None, false, None) => {
+                remark(
+                    "pose",
+                    "NOTHING SAYS WHERE IT IS: name a topic, or write [x, y, z, yaw] if it stands still".into(),
+                );
+                (PoseSource::Tf, String::new(), None)
+            }
+        };
+        if self.map.world.is_empty() && !world.is_empty() {
+            self.world = format!("the frame of the poses of {name}");
+            self.map.world = world;
+        }
+        let is_truth = |topic: &TopicSurvey| {
+            let name = topic.topic.to_ascii_lowercase();
+            ["truth", "label", "annotation", "gt_", "_gt", "/gt"]
+                .iter()
+                .any(|word| name.contains(word))
+        };
+        let objects = || ours(Kind::Detection3DArray).chain(ours(Kind::MarkerArray));
+        let truth = objects().find(|topic| is_truth(topic)).map(|topic| topic.topic.clone());
+        let detections = ours(Kind::Detection3DArray)
+            .find(|topic| !is_truth(topic))
+            .map(|topic| topic.topic.clone());
+        let lower = name.to_ascii_lowercase();
+        let stands = ["rsu", "infra", "road", "mast"].iter().any(|word| lower.contains(word));
+        let agent = AgentMap {
+            kind: if stands {
+                AgentKind::Roadside
+            } else {
+                AgentKind::Vehicle
+            },
+            bag: several.then(|| Path::new(survey.path.file_name().unwrap_or(survey.path.as_os_str())).into()),
+            clouds: vec![main.topic.clone()],
+            frame: base.clone(),
+            height: Height::Ground,
+            footprint: None,
+            pose,
+            imu,
+            truth,
+            detections,
+            mounts: BTreeMap::new(),
+            offset: None,
+        };
+        self.map.agents.insert(name, agent);
+    }
+}
+
+/// The first part of a topic that has several.
+fn space_of(topic: &str) -> &str {
+    let topic = topic.trim_start_matches('/');
+    topic.split_once('/').map_or("", |(space, _)| space)
+}
+
+/// Clouds of a bag by the frame that they are fixed to, and by the space of names that they share with other topics.
+fn groups(survey: &Survey) -> Vec<Group<'_>> {
+    let others: BTreeSet<&str> = survey
+        .topics
+        .iter()
+        .filter(|topic| Kind::named(&topic.kind).is_some_and(|kind| kind != Kind::PointCloud2))
+        .map(|topic| space_of(&topic.topic))
+        .collect();
+    let mut groups: Vec<Group> = Vec::new();
+    for cloud in survey.of_kind(Kind::PointCloud2).filter(|topic| topic.messages > 0) {
+        let frame = cloud.frames.iter().next().cloned().unwrap_or_default();
+        let base = survey.base_of(&frame);
+        let space = Some(space_of(&cloud.topic))
+            .filter(|space| others.contains(space))
+            .unwrap_or_default();
+        match groups
+            .iter_mut()
+            .find(|group| group.base == base && group.space == space)
+        {
+            Some(group) => group.clouds.push(cloud),
+            None => groups.push(Group {
+                survey,
+                space: space.into(),
+                base,
+                clouds: vec![cloud],
+            }),
+        }
+    }
+    groups
+}
+
+/// A name of an agent that a text can be.
+fn named(text: &str) -> String {
+    let letter = |letter: char| match letter {
+        letter if letter.is_ascii_alphanumeric() || "_-".contains(letter) => letter,
+        _ => '_',
+    };
+    let name: String = text.chars().take(40).map(letter).collect();
+    match name.starts_with(|first: char| first.is_ascii_alphanumeric() || first == '_') {
+        true => name,
+        false => format!("agent_{}", name.trim_start_matches('-')),
+    }
+}
+
+impl fmt::Display for Draft {
+    /// As YAML.
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let MapFile {
+            world, clock, agents, ..
+        } = &self.map;
+        writeln!(
+            f,
+            "# A draft: look at every line. docs/reference/importers.md has the fields."
+        )?;
+        writeln!(f, "world: {}  # {}", quoted(world), self.world)?;
+        writeln!(f, "clock: {}  # or `log`: when messages were recorded", clock.as_str())?;
+        writeln!(f, "agents:")?;
+        for (name, agent) in agents {
+            let line = |f: &mut fmt::Formatter, field: &'static str, value: &str| {
+                let why = self.why.get(&(name.clone(), field));
+                let why = why.map_or(String::new(), |why| format!("  # {}", why.replace(['\n', '\r'], " ")));
+                writeln!(f, "    {field}: {value}{why}")
+            };
+            writeln!(f, "  {}:", quoted(name))?;
+            line(f, "kind", agent.kind.as_str())?;
+            if let Some(bag) = &agent.bag {
+                line(f, "bag", &quoted(&bag.to_string_lossy()))?;
+            }
+            line(f, "clouds", &quoted(&agent.clouds[0]))?;
+            line(f, "frame", &quoted(&agent.frame))?;
+            writeln!(
+                f,
+                "    height: {}  # of the frame over the ground, m, or `ground`: as the first sweeps have it",
+                agent.height
+            )?;
+            line(f, "pose", &agent.pose.to_string())?;
+            for (field, topic) in [
+                ("imu", &agent.imu),
+                ("truth", &agent.truth),
+                ("detections", &agent.detections),
+            ] {
+                if let Some(topic) = topic {
+                    line(f, field, &quoted(topic))?;
+                }
+            }
+            if agent.kind == AgentKind::Vehicle {
+                writeln!(
+                    f,
+                    "    # footprint: [-1.0, 3.8, -0.9, 0.9]  # the outline in `frame`, m: x min, x max, y min, y max"
+                )?;
+            }
+        }
+        Ok(())
+    }
+}

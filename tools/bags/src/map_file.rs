@@ -1,0 +1,347 @@
+//! The file that says whose topics are which.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::path::{Path, PathBuf};
+
+use nalgebra::{Isometry3, Translation3, UnitQuaternion};
+use realo_logs::AgentKind;
+use realo_logs::pose::isometry;
+use serde::{Deserialize, Deserializer};
+
+use crate::BagError;
+
+/// Which time of a message counts.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
+#[serde(rename_all = "snake_case")]
+pub enum StampClock {
+    /// The stamp in its header.
+    #[default]
+    Header,
+    /// When it was recorded.
+    Log,
+}
+
+impl StampClock {
+    /// `header` or `log`.
+    pub fn as_str(self) -> &'static str {
+        match self {
+            StampClock::Header => "header",
+            StampClock::Log => "log",
+        }
+    }
+}
+
+/// Where an agent's poses come from.
+#[derive(Clone, Debug, PartialEq)]
+pub enum PoseSource {
+    /// Transforms from the world to the agent's frame.
+    Tf,
+    /// A topic of poses or positions.
+    Topic(String),
+    /// It stands still: world from the agent's frame.
+    Fixed(Isometry3<f64>),
+}
+
+/// How high an agent's frame is over the ground.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub enum Height {
+    /// As the ground in its first sweeps has it.
+    #[default]
+    Ground,
+    /// So many m.
+    Meters(f64),
+}
+
+/// Which topics and frames an agent has.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct AgentMap {
+    /// What it is.
+    #[serde(default = "vehicle")]
+    pub kind: AgentKind,
+    /// Its bag, where there are several: its path, or the last part of it.
+    #[serde(default)]
+    pub bag: Option<PathBuf>,
+    /// Topics of its clouds.
+    #[serde(deserialize_with = "one_or_many")]
+    pub clouds: Vec<String>,
+    /// Its own frame: x ahead, y to the left.
+    pub frame: String,
+    /// How high that frame is over the ground.
+    #[serde(default)]
+    pub height: Height,
+    /// Its outline in its frame, m: [x min, x max, y min, y max].
+    #[serde(default)]
+    pub footprint: Option<[f64; 4]>,
+    /// Where its poses come from.
+    pub pose: PoseSource,
+    /// A topic of attitudes, where poses are only positions.
+    #[serde(default)]
+    pub imu: Option<String>,
+    /// A topic of all objects.
+    #[serde(default)]
+    pub truth: Option<String>,
+    /// A topic of recorded detections.
+    #[serde(default)]
+    pub detections: Option<String>,
+    /// Sensors' frames in its frame, where no transform says it: x, y, z in m, roll, pitch, yaw in rad.
+    #[serde(default)]
+    pub mounts: BTreeMap<String, [f64; 6]>,
+    /// What is added to its stamps, s.
+    #[serde(default)]
+    pub offset: Option<f64>,
+}
+
+/// How bags become one log.
+#[derive(Clone, Debug, PartialEq, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct MapFile {
+    /// The frame of all poses.
+    #[serde(default = "map")]
+    pub world: String,
+    /// Which time counts.
+    #[serde(default)]
+    pub clock: StampClock,
+    /// Where the world's origin is, for positions of satellites: degrees north, degrees east, m over the ellipsoid.
+    #[serde(default)]
+    pub map_origin: Option<[f64; 3]>,
+    /// The bags' classes, with those of the log.
+    #[serde(default)]
+    pub classes: BTreeMap<String, String>,
+    /// The agents by their names in the log.
+    pub agents: BTreeMap<String, AgentMap>,
+}
+
+fn vehicle() -> AgentKind {
+    AgentKind::Vehicle
+}
+
+fn map() -> String {
+    "map".into()
+}
+
+impl MapFile {
+    /// Reads a file. Tags in it are never executed.
+    ///
+    /// # Errors
+    /// What the system says; a field that is not known, is missing or holds something else.
+    pub fn read(path: &Path) -> Result<Self, BagError> {
+        let text = realo_documents::read(path).map_err(BagError::io(path))?;
+        Self::parse(&text).map_err(|reason| {
+            BagError::content(
+                path,
+                format!(
+                    "{reason}; `realo info BAG` prints a first draft, and docs/reference/importers.md has the fields"
+                ),
+            )
+        })
+    }
+
+    /// Reads its text.
+    ///
+    /// # Errors
+    /// A field that is not known, is missing or holds something else.
+    pub fn parse(text: &str) -> Result<Self, String> {
+        let map: MapFile = realo_documents::yaml(text)?;
+        if map.agents.is_empty() {
+            return Err("agents: expected at least one, found none".into());
+        }
+        for (name, agent) in &map.agents {
+            let wrong = |what: String| Err(format!("agents.{name}: {what}"));
+            if agent.clouds.is_empty() {
+                return wrong("clouds: expected a topic, found none".into());
+            }
+            if agent
+                .offset
+                .is_some_and(|offset| !offset.is_finite() || offset.abs() > 4e9)
+            {
+                return wrong("offset: expected seconds within ±4·10⁹".into());
+            }
+            if let Some((frame, _)) = agent
+                .mounts
+                .iter()
+                .find(|(_, mount)| mount.iter().any(|v| !v.is_finite()))
+            {
+                return wrong(format!("mounts.{frame}: expected six finite numbers"));
+            }
+        }
+        Ok(map)
+    }
+}
+
+impl AgentMap {
+    /// Where sensors are in its frame, by the map file alone.
+    pub fn mounted(&self) -> impl Iterator<Item = (&str, Isometry3<f64>)> {
+        self.mounts.iter().map(|(frame, [x, y, z, roll, pitch, yaw])| {
+            let rotation = UnitQuaternion::from_euler_angles(*roll, *pitch, *yaw);
+            (
+                frame.as_str(),
+                Isometry3::from_parts(Translation3::new(*x, *y, *z), rotation),
+            )
+        })
+    }
+}
+
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum OneOrMany {
+    One(String),
+    Many(Vec<String>),
+}
+
+fn one_or_many<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<String>, D::Error> {
+    use serde::de::Error;
+    let found = OneOrMany::deserialize(deserializer);
+    Ok(
+        match found
+            .map_err(|_| D::Error::custom("clouds: expected a topic or a list of topics, found something else"))?
+        {
+            OneOrMany::One(topic) => vec![topic],
+            OneOrMany::Many(topics) => topics,
+        },
+    )
+}
+
+#[derive(Deserialize)]
+#[serde(untagged)]
+enum NumbersOrText {
+    Number(f64),
+    Numbers(Vec<f64>),
+    Text(String),
+}
+
+impl<'de> Deserialize<'de> for PoseSource {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        use serde::de::Error;
+        let expected = "pose: expected `tf`, a topic, [x, y, z, yaw] or [x, y, z, qx, qy, qz, qw]";
+        // Serde names its own types where nothing fits.
+        let found = NumbersOrText::deserialize(deserializer);
+        match found.map_err(|_| D::Error::custom(format!("{expected}, found something else")))? {
+            NumbersOrText::Text(text) if text == "tf" => Ok(PoseSource::Tf),
+            NumbersOrText::Text(topic) => Ok(PoseSource::Topic(topic)),
+            NumbersOrText::Numbers(numbers) => match numbers[..] {
+                [x, y, z, yaw] if numbers.iter().all(|v| v.is_finite()) => {
+                    Ok(PoseSource::Fixed(Isometry3::from_parts(
+                        Translation3::new(x, y, z),
+                        UnitQuaternion::from_euler_angles(0.0, 0.0, yaw),
+                    )))
+                }
+                [x, y, z, i, j, k, w] => isometry(&[x, y, z, i, j, k, w])
+                    .map(PoseSource::Fixed)
+                    .map_err(D::Error::custom),
+                _ => Err(D::Error::custom(format!("{expected}, found {} numbers", numbers.len()))),
+            },
+            NumbersOrText::Number(number) => Err(D::Error::custom(format!("{expected}, found {number}"))),
+        }
+    }
+}
+
+impl<'de> Deserialize<'de> for Height {
+    fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
+        use serde::de::Error;
+        let expected = "height: expected `ground`, or -5 to 50 m";
+        let found = NumbersOrText::deserialize(deserializer);
+        match found.map_err(|_| D::Error::custom(format!("{expected}, found something else")))? {
+            NumbersOrText::Text(text) if text == "ground" => Ok(Height::Ground),
+            NumbersOrText::Number(meters) if (-5.0..=50.0).contains(&meters) => Ok(Height::Meters(meters)),
+            NumbersOrText::Number(found) => Err(D::Error::custom(format!("{expected}, found {found}"))),
+            NumbersOrText::Text(found) => Err(D::Error::custom(format!(
+                "{expected}, found `{}`",
+                found.escape_debug()
+            ))),
+            NumbersOrText::Numbers(found) => {
+                Err(D::Error::custom(format!("{expected}, found {} numbers", found.len())))
+            }
+        }
+    }
+}
+
+impl fmt::Display for PoseSource {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            PoseSource::Tf => f.write_str("tf"),
+            PoseSource::Topic(topic) => f.write_str(&quoted(topic)),
+            PoseSource::Fixed(pose) => {
+                let (t, q) = (&pose.translation, &pose.rotation);
+                write!(f, "[{}, {}, {}, {}, {}, {}, {}]", t.x, t.y, t.z, q.i, q.j, q.k, q.w)
+            }
+        }
+    }
+}
+
+impl fmt::Display for Height {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        match self {
+            Height::Ground => f.write_str("ground"),
+            Height::Meters(meters) => write!(f, "{meters}"),
+        }
+    }
+}
+
+/// A text as YAML has it, whatever is in it.
+pub(crate) fn quoted(text: &str) -> String {
+    let is_plain = |letter: char| letter.is_ascii_alphanumeric() || "/_-.".contains(letter);
+    let is_word = text.starts_with(|first: char| first.is_ascii_alphabetic() || first == '/')
+        && text.chars().all(is_plain)
+        && !["true", "false", "null", "yes", "no", "on", "off", "y", "n"].contains(&text.to_ascii_lowercase().as_str());
+    match is_word {
+        true => text.into(),
+        false => format!("'{}'", text.replace('\'', "''").replace(['\n', '\r'], " ")),
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const SHORT: &str = "agents:\n  car:\n    clouds: /points\n    frame: base_link\n    pose: tf\n";
+
+    #[test]
+    fn a_short_file_is_enough() {
+        let map = MapFile::parse(SHORT).unwrap();
+        assert_eq!((map.world.as_str(), map.clock), ("map", StampClock::Header));
+        let car = &map.agents["car"];
+        assert_eq!(
+            (car.kind, &car.pose, car.height),
+            (AgentKind::Vehicle, &PoseSource::Tf, Height::Ground)
+        );
+        assert_eq!(car.clouds, ["/points"]);
+        let more =
+            "    kind: roadside\n    height: 5.2\n    offset: -0.01\n    mounts: {lidar: [0, 0, 2, 0, 0, 1.5]}\n";
+        let map = MapFile::parse(&format!("{SHORT}{more}").replace("pose: tf", "pose: [1, 2, 0, 0.5]")).unwrap();
+        let mast = &map.agents["car"];
+        assert_eq!((mast.kind, mast.height), (AgentKind::Roadside, Height::Meters(5.2)));
+        let PoseSource::Fixed(pose) = &mast.pose else {
+            panic!("{:?}", mast.pose)
+        };
+        assert_eq!(pose.translation.vector.y, 2.0);
+        assert_eq!(mast.mounted().next().unwrap().0, "lidar");
+    }
+
+    #[test]
+    fn what_does_not_fit_is_named() {
+        for (from, to, expected) in [
+            ("clouds", "cloud", "cloud"),
+            ("pose: tf", "pose: [1, 2]", "found 2 numbers"),
+            ("pose: tf", "pose: 3", "found 3"),
+            ("pose: tf", "pose: tf\n    height: high", "found `high`"),
+            ("pose: tf", "pose: tf\n    offset: .inf", "offset"),
+            ("clouds: /points", "clouds: []", "clouds: expected a topic"),
+            ("agents:", "worlds: map\nagents:", "worlds"),
+            ("    frame: base_link\n", "", "frame"),
+        ] {
+            let error = MapFile::parse(&SHORT.replace(from, to)).unwrap_err();
+            assert!(error.contains(expected), "{error}");
+        }
+        assert!(MapFile::parse("agents: {}").unwrap_err().contains("found none"));
+    }
+
+    #[test]
+    fn tags_of_python_are_no_orders() {
+        let text = SHORT.replace("base_link", "!!python/object/apply:os.system ['touch /tmp/x']");
+        assert!(MapFile::parse(&text).is_err());
+        let text = format!("{SHORT}x: !!python/object/apply:os.system ['touch /tmp/x']\n");
+        assert!(MapFile::parse(&text).unwrap_err().contains("unknown field `x`"));
+    }
+}

@@ -1,0 +1,120 @@
+//! How the clouds of a topic are read, by the first of them.
+
+use std::collections::BTreeSet;
+
+use realo_bags::map_file::StampClock;
+use realo_logs::cloud::{CloudReader, Look, Reading, TimeRule};
+use realo_logs::{bare, intensity_scale};
+use realo_schemas::{Nanos, PointCloud};
+
+use super::Import;
+use super::agents::{Agent, Topic};
+use crate::ImportError;
+use crate::clouds::LOOKED_AT;
+
+/// Clouds in which the ground is looked for.
+pub const GROUNDS: usize = 3;
+
+/// How the clouds of a topic are read.
+pub struct Heads {
+    /// What intensities are multiplied by.
+    pub scale: f32,
+    /// How times are read.
+    pub times: Option<TimeRule>,
+    /// The field of times, in words.
+    pub time_words: String,
+    /// How intensities became bytes.
+    pub intensity_words: String,
+    /// Stamp and log time of the first clouds.
+    pub stamps: Vec<[Nanos; 2]>,
+    /// First clouds, in their own frames.
+    pub first: Vec<(Nanos, String, PointCloud)>,
+}
+
+/// The stamp that counts.
+pub fn stamp_of(clock: StampClock, header: Nanos, log_time: Nanos) -> Nanos {
+    match clock {
+        StampClock::Header if header != 0 => header,
+        _ => log_time,
+    }
+}
+
+/// Looks at the first clouds of a topic.
+pub fn heads(import: &Import, agent: &Agent, topic: &Topic) -> Result<Heads, ImportError> {
+    let bag = &import.bags[agent.bag];
+    let connection = &bag.connections()[topic.connection];
+    let mut messages = bag.messages(&BTreeSet::from([topic.connection]))?;
+    let mut looked = Vec::new();
+    while looked.len() < LOOKED_AT
+        && let Some(message) = messages.next()?
+    {
+        looked.push(message);
+    }
+    let wrong = |reason: String| ImportError::content(bag.path(), format!("topic `{}`: {reason}", topic.name));
+    if looked.is_empty() {
+        return Err(wrong(
+            "expected clouds, found no message; name another topic in the map file".into(),
+        ));
+    }
+    let (mut looks, mut brightest, mut stamps) = (Vec::<Look>::new(), 0f32, Vec::new());
+    let mut reason = None;
+    for message in &looked {
+        let read = connection
+            .reader(message.data())
+            .and_then(|mut input| CloudReader::read(&mut input));
+        match read {
+            Ok(mut reader) => {
+                reader.stamp = stamp_of(import.map.clock, reader.stamp, message.log_time);
+                stamps.push([reader.stamp, message.log_time]);
+                brightest = brightest.max(reader.brightest().unwrap_or(0.0));
+                looks.extend(reader.look());
+            }
+            Err(error) => reason = Some(error),
+        }
+    }
+    let mut found: Option<Heads> = None;
+    for message in &looked {
+        let read = connection
+            .reader(message.data())
+            .and_then(|mut input| CloudReader::read(&mut input));
+        let Ok(mut reader) = read else { continue };
+        reader.stamp = stamp_of(import.map.clock, reader.stamp, message.log_time);
+        let heads = match &mut found {
+            Some(heads) => heads,
+            None => {
+                let times = reader.time_rule(&looks).map_err(wrong)?;
+                let kind = reader.intensity().unwrap_or_default();
+                let scale = intensity_scale(kind, brightest);
+                found.insert(Heads {
+                    scale,
+                    times,
+                    time_words: match (reader.time(), times) {
+                        (Some((field, kind)), Some(rule)) => format!("`{field}` ({kind}), {rule}"),
+                        _ => "none: all points of a sweep are at its stamp".into(),
+                    },
+                    intensity_words: match kind {
+                        "" => "none: 0".into(),
+                        kind => format!("{kind}, times {scale}"),
+                    },
+                    stamps: std::mem::take(&mut stamps),
+                    first: Vec::new(),
+                })
+            }
+        };
+        if heads.first.len() < GROUNDS {
+            let reading = Reading {
+                scale: heads.scale,
+                times: heads.times,
+                to: None,
+            };
+            let (cloud, _) = reader.cloud(&reading).map_err(wrong)?;
+            heads.first.push((reader.stamp, bare(reader.frame).into(), cloud));
+        }
+    }
+    found.ok_or_else(|| {
+        wrong(format!(
+            "its first clouds cannot be read: {}",
+            reason.unwrap_or_default()
+        ))
+    })
+}

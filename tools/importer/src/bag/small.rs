@@ -1,0 +1,226 @@
+//! All messages but the clouds, and how the first clouds are to be read.
+
+use std::collections::{BTreeMap, BTreeSet, HashMap};
+
+use realo_bags::map_file::StampClock;
+use realo_bags::messages::{self, Attitude, Fix, Kind, Objects, Pose};
+use realo_bags::{Bag, Connection, Message, is_static};
+use realo_logs::Frames;
+use realo_schemas::Nanos;
+
+use super::agents::{Agent, Topic};
+use super::heads::{Heads, heads};
+use super::{Counted, Import};
+use crate::ImportError;
+
+/// Longer messages are not compared from bag to bag.
+const COMPARED: usize = 4096;
+/// So many messages are compared.
+const MOST_COMPARED: usize = 20_000;
+
+/// A message with when it was recorded.
+pub struct At<T> {
+    /// By the recorder's clock, ns.
+    pub log_time: Nanos,
+    /// What it says.
+    pub said: T,
+}
+
+/// What a bag says besides clouds.
+#[derive(Default)]
+pub struct BagSmall {
+    /// How frames lie in each other.
+    pub frames: Frames,
+    /// Stamps of transforms that move.
+    pub moving: BTreeMap<Nanos, Nanos>,
+    /// Reference clock less the clock of the stamps, ns.
+    pub references: Vec<Nanos>,
+    /// Log times of messages by a hash of topic and bytes; `None` of bytes that are there twice.
+    pub seen: HashMap<u64, Option<Nanos>>,
+}
+
+/// What an agent's topics say besides clouds.
+#[derive(Default)]
+pub struct AgentSmall {
+    /// Poses.
+    pub poses: Vec<At<Pose>>,
+    /// Positions.
+    pub fixes: Vec<At<Fix>>,
+    /// Attitudes.
+    pub attitudes: Vec<Attitude>,
+    /// All objects.
+    pub truth: Vec<At<Objects>>,
+    /// Recorded detections.
+    pub detections: Vec<At<Objects>>,
+    /// How the first clouds of each topic are read.
+    pub heads: Vec<Heads>,
+}
+
+/// What all bags say besides clouds.
+pub struct Small {
+    /// By bag.
+    pub bags: Vec<BagSmall>,
+    /// By agent.
+    pub agents: Vec<AgentSmall>,
+    /// Messages that cannot be read.
+    pub faults: Counted,
+}
+
+/// Reads all bags once, without their clouds but the first.
+pub fn read(import: &Import, report: &mut dyn FnMut(&'static str, u64, u64)) -> Result<Small, ImportError> {
+    let mut small = Small {
+        bags: Vec::new(),
+        agents: import.agents.iter().map(|_| AgentSmall::default()).collect(),
+        faults: Counted::default(),
+    };
+    let all = (0..import.bags.len()).flat_map(|bag| wanted(import, bag));
+    let all: u64 = all.map(|(_, count)| count).sum();
+    let mut done = 0;
+    for (place, bag) in import.bags.iter().enumerate() {
+        small.bags.push(BagSmall::default());
+        let wanted: BTreeSet<usize> = wanted(import, place).map(|(connection, _)| connection).collect();
+        let mut messages = bag.messages(&wanted)?;
+        while let Some(message) = messages.next()? {
+            done += 1;
+            if done % 1000 == 0 {
+                report("reading", done, all);
+            }
+            let connection = &bag.connections()[message.connection];
+            if let Err(reason) = small.take(import, place, connection, &message) {
+                small.faults.add(&connection.topic, reason);
+            }
+        }
+    }
+    for (place, agent) in import.agents.iter().enumerate() {
+        for topic in &agent.clouds {
+            small.agents[place].heads.push(heads(import, agent, topic)?);
+        }
+    }
+    Ok(small)
+}
+
+/// Connections that are read whole, with how many messages each has.
+fn wanted(import: &Import, bag: usize) -> impl Iterator<Item = (usize, u64)> {
+    let agents = move || import.agents.iter().filter(move |agent| agent.bag == bag);
+    let connections = import.bags[bag].connections().iter().enumerate();
+    connections.filter_map(move |(place, connection)| {
+        let is_small = match Kind::named(&connection.kind) {
+            Some(Kind::PointCloud2) => false,
+            Some(Kind::Transforms | Kind::TimeReference) => true,
+            _ => {
+                let is_used = agents().flat_map(Agent::small).any(|topic| topic.connection == place);
+                // Whatever both bags recorded compares their clocks.
+                is_used || (import.bags.len() > 1 && is_in_all(import, connection))
+            }
+        };
+        is_small.then_some((place, connection.messages))
+    })
+}
+
+fn is_in_all(import: &Import, connection: &Connection) -> bool {
+    let is_image = ["Image", "Cloud", "Scan", "Packet"]
+        .iter()
+        .any(|word| connection.kind.contains(word));
+    let has = |bag: &dyn Bag| {
+        bag.connections()
+            .iter()
+            .any(|other| other.topic == connection.topic && other.kind == connection.kind)
+    };
+    !is_image && import.bags.iter().all(|bag| has(bag.as_ref()))
+}
+
+impl Small {
+    fn take(&mut self, import: &Import, bag: usize, connection: &Connection, message: &Message) -> Result<(), String> {
+        let data = message.data();
+        let known = &mut self.bags[bag];
+        if import.bags.len() > 1 && data.len() <= COMPARED && known.seen.len() < MOST_COMPARED {
+            let log_time = message.log_time;
+            let seen = known.seen.entry(hash(&connection.topic, data));
+            seen.and_modify(|seen| *seen = None).or_insert(Some(log_time));
+        }
+        let begin = || connection.reader(data);
+        let clock = import.map.clock;
+        let stamped = |stamp: Nanos| match clock {
+            StampClock::Header if stamp != 0 => stamp,
+            _ => message.log_time,
+        };
+        let Some(kind) = Kind::named(&connection.kind) else {
+            return Ok(());
+        };
+        match kind {
+            Kind::Transforms => {
+                let fixed = is_static(&connection.topic);
+                let (transforms, wrong) = messages::transforms(&mut begin()?)?;
+                for t in transforms {
+                    let stamp = stamped(t.stamp);
+                    known
+                        .frames
+                        .insert(fixed, stamp, &t.parent, &t.child, t.parent_from_child);
+                    if !fixed {
+                        known.moving.entry(stamp).or_insert(message.log_time);
+                    }
+                }
+                if wrong > 0 {
+                    return Err("a transform that is not finite, or whose quaternion is not of length 1".into());
+                }
+                return Ok(());
+            }
+            Kind::TimeReference => {
+                let [stamp, reference] = messages::time_reference(&mut begin()?)?;
+                known.references.push(reference.saturating_sub(stamped(stamp)));
+                return Ok(());
+            }
+            _ => {}
+        }
+        for (agent, small) in import
+            .agents
+            .iter()
+            .zip(&mut self.agents)
+            .filter(|(agent, _)| agent.bag == bag)
+        {
+            let is = |topic: &Option<Topic>| {
+                topic
+                    .as_ref()
+                    .is_some_and(|topic| topic.connection == message.connection)
+            };
+            let log_time = message.log_time;
+            if is(&agent.pose) && kind == Kind::NavSatFix {
+                let mut said = messages::fix(&mut begin()?)?;
+                said.stamp = stamped(said.stamp);
+                small.fixes.push(At { log_time, said });
+            } else if is(&agent.pose) {
+                let mut said = messages::pose(kind, &mut begin()?)?;
+                said.stamp = stamped(said.stamp);
+                small.poses.push(At { log_time, said });
+            }
+            if is(&agent.imu) {
+                let mut said = messages::attitude(&mut begin()?)?;
+                said.stamp = stamped(said.stamp);
+                small.attitudes.push(said);
+            }
+            let objects = || -> Result<At<Objects>, String> {
+                let mut said = match kind {
+                    Kind::MarkerArray => messages::markers(begin)?,
+                    _ => messages::detections(begin)?,
+                };
+                said.stamp = stamped(said.stamp);
+                Ok(At { log_time, said })
+            };
+            if is(&agent.truth) {
+                small.truth.push(objects()?);
+            }
+            if is(&agent.detections) {
+                small.detections.push(objects()?);
+            }
+        }
+        Ok(())
+    }
+}
+
+/// FNV-1a of 64 bits.
+fn hash(topic: &str, data: &[u8]) -> u64 {
+    let bytes = topic.bytes().chain([0]).chain(data.iter().copied());
+    bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
+        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
+    })
+}

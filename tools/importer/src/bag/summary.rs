@@ -1,0 +1,134 @@
+//! What was imported of bags, in numbers and words.
+
+use std::collections::BTreeMap;
+use std::fmt;
+use std::path::PathBuf;
+
+use serde::Serialize;
+
+use crate::Residual;
+
+/// What was imported of an agent.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct BagAgent {
+    /// Its name in the log.
+    pub name: String,
+    /// Sweeps.
+    pub sweeps: usize,
+    /// Points of all sweeps.
+    pub points: usize,
+    /// Poses.
+    pub poses: usize,
+    /// Sweeps with truth.
+    pub truths: usize,
+    /// Sweeps whose truth is of another time, and was brought to theirs.
+    pub moved_truths: usize,
+    /// Sweeps with recorded detections.
+    pub detections: usize,
+    /// Height of its frame over the ground, m.
+    pub height_m: f64,
+    /// Its topics and frames, in words.
+    pub clouds: String,
+    /// Where its poses come from.
+    pub pose_words: String,
+    /// How times of points are read.
+    pub times: String,
+    /// How intensities became bytes.
+    pub intensities: String,
+}
+
+/// What was imported of bags.
+#[derive(Clone, Debug, Default, PartialEq, Serialize)]
+pub struct BagSummary {
+    /// The log.
+    pub log: PathBuf,
+    /// Bags, in words.
+    pub bags: Vec<String>,
+    /// What is missing of them or strange about them.
+    pub notes: Vec<String>,
+    /// Its agents.
+    pub agents: Vec<BagAgent>,
+    /// How the clocks were joined.
+    pub clocks: Vec<String>,
+    /// Boxes of truth by class.
+    pub classes: BTreeMap<String, usize>,
+    /// Messages that were left out, by reason.
+    pub left_out: BTreeMap<String, usize>,
+    /// Intensities that were limited to 0…255 after they were scaled.
+    pub limited_intensities: u64,
+    /// How well the clouds of two agents fit each other.
+    pub residuals: Vec<Residual>,
+    /// The map file that was drafted, where nobody gave one.
+    pub draft: Option<String>,
+    /// The world's frame, and which time counts.
+    pub world: String,
+}
+
+impl fmt::Display for BagSummary {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let lines = |f: &mut fmt::Formatter, head: &str, lines: &[String]| {
+            lines.iter().try_for_each(|line| writeln!(f, "{head}{line}"))
+        };
+        lines(f, "bag: ", &self.bags)?;
+        lines(f, "note: ", &self.notes)?;
+        if let Some(draft) = &self.draft {
+            writeln!(f, "without --map, this draft was taken:\n{}", draft.trim_end())?;
+        }
+        write!(f, "{}", self.world)?;
+        for agent in &self.agents {
+            let BagAgent {
+                name,
+                sweeps,
+                points,
+                poses,
+                ..
+            } = agent;
+            write!(
+                f,
+                "\n`{name}`: {sweeps} sweeps of {}, {points} points, {poses} poses",
+                agent.clouds
+            )?;
+            if agent.truths > 0 {
+                write!(
+                    f,
+                    ", {} sweeps with truth ({} moved to their time)",
+                    agent.truths, agent.moved_truths
+                )?;
+            }
+            if agent.detections > 0 {
+                write!(f, ", {} sweeps with detections", agent.detections)?;
+            }
+            write!(f, "\n  poses: {}", agent.pose_words)?;
+            write!(
+                f,
+                "\n  frame {:.2} m over the ground; times: {}",
+                agent.height_m, agent.times
+            )?;
+            write!(f, "\n  intensities: {}", agent.intensities)?;
+        }
+        for clock in &self.clocks {
+            write!(f, "\n{clock}")?;
+        }
+        let classes: Vec<String> = self.classes.iter().map(|(class, n)| format!("{n} {class}")).collect();
+        match classes.is_empty() {
+            true => write!(
+                f,
+                "\nno truth: a run reports rates, ages, bytes and boxes, and no score"
+            )?,
+            false => write!(f, "\ntruth: {}", classes.join(", "))?,
+        }
+        for residual in &self.residuals {
+            write!(f, "\n{residual}")?;
+        }
+        if self.limited_intensities > 0 {
+            let limited = self.limited_intensities;
+            write!(
+                f,
+                "\nlimited: {limited} intensities below 0 or brighter than those of the first sweeps"
+            )?;
+        }
+        self.left_out
+            .iter()
+            .try_for_each(|(reason, n)| write!(f, "\nleft out: {n} × {reason}"))
+    }
+}

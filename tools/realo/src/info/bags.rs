@@ -1,0 +1,36 @@
+//! Bags of ROS, and the first draft of a map file.
+
+use std::fs::File;
+use std::io::Write;
+use std::path::{Path, PathBuf};
+
+use eyre::{Result, WrapErr};
+use realo_bags::{Draft, Survey, open, survey};
+
+/// Prints what bags hold, and a draft of the map file by which they become a log; says whether something of them is missing.
+pub fn describe(paths: &[&PathBuf], json: bool, map: Option<&Path>) -> Result<bool> {
+    let surveyed = paths.iter().map(|path| survey(open(path)?.as_ref()));
+    let surveys: Vec<Survey> = surveyed.collect::<Result<_, _>>()?;
+    for survey in &surveys {
+        match json {
+            true => println!("{}", serde_json::to_string_pretty(survey)?),
+            false => println!("{survey}"),
+        }
+    }
+    match (Draft::of(&surveys), map) {
+        (Ok(draft), Some(file)) => {
+            let written = File::create_new(file).and_then(|mut file| file.write_all(draft.to_string().as_bytes()));
+            written.wrap_err_with(|| {
+                format!(
+                    "cannot write `{}`; remove it first, or choose another place",
+                    file.display()
+                )
+            })?;
+        }
+        (Ok(draft), None) if !json => println!("\na first map file for `realo-lab import bag --map`:\n{draft}"),
+        (Ok(_), None) => {}
+        (Err(reason), Some(_)) => eyre::bail!("no map file was written: {reason}"),
+        (Err(reason), None) => eprintln!("realo: no map file can be drafted: {reason}"),
+    }
+    Ok(surveys.iter().any(|survey| !survey.notes.is_empty()))
+}
