@@ -78,7 +78,7 @@ const SUPPRESSED_BOXES: Counter = Counter::plain("suppressed_boxes", "boxes drop
 /// What comes in.
 #[derive(Debug, Inputs)]
 pub enum Input {
-    /// Boxes that only fill gaps: one that overlaps a box of `proposals` is dropped, whatever its score, and has no vote.
+    /// Boxes that only fill gaps: one that a box of `proposals` suppresses is dropped, whatever its score, and has no vote.
     #[port(latest, joined("frame"), optional)]
     Fill(Header, Boxes),
     /// Detections in any order, one frame.
