@@ -144,7 +144,10 @@ mod tests {
         written.lock().unwrap();
         remove_where(&at("log.mcap"), is_left);
         assert!(files[0].exists(), "somebody writes there");
-        assert!(!at(&format!("log.mcap.{}.partial", dead - 1)).exists(), "nobody writes there");
+        assert!(
+            !at(&format!("log.mcap.{}.partial", dead - 1)).exists(),
+            "nobody writes there"
+        );
         drop(written);
         remove_where(&at("log.mcap"), is_left);
         assert!(!files[0].exists() && files[1].exists() && other.exists());

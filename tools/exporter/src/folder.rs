@@ -37,7 +37,10 @@ pub fn check(path: &Path, replace: bool) -> Result<(), ExportError> {
         Err(error) if error.kind() == io::ErrorKind::NotFound => return Ok(()),
         Err(error) => return Err(ExportError::io(path, "look at")(error)),
         Ok(found) if !found.is_dir() => {
-            return Err(occupied("a file or a link".into(), "choose another path, or remove it first"));
+            return Err(occupied(
+                "a file or a link".into(),
+                "choose another path, or remove it first",
+            ));
         }
         Ok(_) => {}
     }
@@ -277,7 +280,10 @@ mod tests {
         let error = write(&notes, &[], true).unwrap_err().to_string();
         assert!(error.contains("found a file"), "{error}");
         let error = write(dir.path(), &[], true).unwrap_err().to_string();
-        assert!(error.contains("found 1 files of another program, as `notes`"), "{error}");
+        assert!(
+            error.contains("found 1 files of another program, as `notes`"),
+            "{error}"
+        );
         assert_eq!(fs::read_to_string(&notes).unwrap(), "mine");
     }
 }

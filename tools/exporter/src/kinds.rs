@@ -52,13 +52,8 @@ pub trait Exporter: Sync {
     ///
     /// # Errors
     /// A log that does not have what the layout needs; why writing failed.
-    fn write(
-        &self,
-        log: &Log,
-        folder: &mut Folder,
-        options: &Options,
-        report: Report,
-    ) -> Result<Exported, ExportError>;
+    fn write(&self, log: &Log, folder: &mut Folder, options: &Options, report: Report)
+    -> Result<Exported, ExportError>;
 }
 
 /// All kinds.
@@ -130,8 +125,16 @@ mod tests {
             assert!(std::ptr::eq(super::exporter(kind.name).unwrap().kind(), kind));
             assert!(list().contains(kind.name));
         }
-        let error = KINDS[0].kind().set(&mut Options::default(), "agent", "cav1").unwrap_err();
-        assert!(error.to_string().contains("`opv2v` does not take it; it takes --agents"), "{error}");
+        let error = KINDS[0]
+            .kind()
+            .set(&mut Options::default(), "agent", "cav1")
+            .unwrap_err();
+        assert!(
+            error
+                .to_string()
+                .contains("`opv2v` does not take it; it takes --agents"),
+            "{error}"
+        );
         let error = exporter("bag").err().unwrap().to_string();
         assert!(error.contains("there are opv2v, kitti, rosbag2"), "{error}");
     }

@@ -16,6 +16,8 @@ pub const USUAL_HEIGHT: f64 = 1.8;
 const WAITING: usize = 16;
 /// Poses that tilt less are level, degrees: importers that level by the pose move nothing.
 const LEVEL: f64 = 1e-6;
+/// Outline of what has none, for importers that take each agent for a vehicle, m.
+const NOTHING: [f64; 4] = [-0.01, 0.01, -0.01, 0.01];
 /// Outline of a vehicle whose log has none, m: an object centred in it is the vehicle itself.
 const NO_FOOTPRINT: [f64; 4] = [-1.5, 1.5, -0.9, 0.9];
 
@@ -114,6 +116,14 @@ impl SceneAgent {
         points.map(|((x, y), z)| [*x, *y, lower(*z)]).collect()
     }
 
+    /// What importers may take for the agent itself, m: [x min, x max, y min, y max].
+    pub fn outline(&self) -> [f64; 4] {
+        match self.kind {
+            AgentKind::Vehicle => self.footprint,
+            AgentKind::Roadside => NOTHING,
+        }
+    }
+
     fn is_itself(&self, [x, y, _]: [f64; 3]) -> bool {
         let [x0, x1, y0, y1] = self.footprint;
         self.kind == AgentKind::Vehicle && (x0..=x1).contains(&x) && (y0..=y1).contains(&y)
@@ -130,7 +140,9 @@ impl<'a> Scene<'a> {
         let labels = stream_of(options.labels);
         if !names.iter().any(|name| log.has(name, labels)) {
             let next = match options.labels {
-                LabelSource::Truth => "add ground truth to the log (docs/guide/your-data.md), or take --labels own where it has own labels",
+                LabelSource::Truth => {
+                    "add ground truth to the log (docs/guide/your-data.md), or take --labels own where it has own labels"
+                }
                 LabelSource::Own => "take --labels truth",
             };
             let reason = format!(
@@ -180,7 +192,10 @@ impl<'a> Scene<'a> {
     fn look_at_tracks(&mut self) -> Result<(), ExportError> {
         let stream = stream_of(self.options.labels);
         let wanted: Vec<_> = self.names().map(|name| (name, stream)).collect();
-        let wanted: Vec<_> = wanted.into_iter().filter(|(name, stream)| self.log.has(name, *stream)).collect();
+        let wanted: Vec<_> = wanted
+            .into_iter()
+            .filter(|(name, stream)| self.log.has(name, *stream))
+            .collect();
         let mut votes: Vec<BTreeMap<u64, usize>> = vec![BTreeMap::new(); self.agents.len()];
         let mut reader = self.log.read_all(&wanted)?;
         let mut tracks = BTreeSet::new();
@@ -192,7 +207,9 @@ impl<'a> Scene<'a> {
                 continue;
             };
             for (agent, votes) in self.agents.iter().zip(&mut votes) {
-                let Some(there) = agent.track.at(entry.stamp()) else { continue };
+                let Some(there) = agent.track.at(entry.stamp()) else {
+                    continue;
+                };
                 let own_from_body = there.inv_mul(&map_from_body);
                 for object in &boxes {
                     let center: [f64; 3] = (own_from_body * Point3::from(object.center)).into();
@@ -205,7 +222,10 @@ impl<'a> Scene<'a> {
         drop(wanted);
         self.tracks = tracks;
         for (agent, votes) in self.agents.iter_mut().zip(votes) {
-            agent.own_track = votes.into_iter().max_by_key(|(_, count)| *count).map(|(track, _)| track);
+            agent.own_track = votes
+                .into_iter()
+                .max_by_key(|(_, count)| *count)
+                .map(|(track, _)| track);
         }
         Ok(())
     }
@@ -230,7 +250,9 @@ impl<'a> Scene<'a> {
         mut each: impl FnMut(Sweep) -> Result<(), ExportError>,
     ) -> Result<LeftOut, ExportError> {
         let [labels, info] = [stream_of(self.options.labels), info_of(self.options.labels)];
-        let all = self.names().flat_map(|name| [Stream::Points, labels, info].map(|stream| (name, stream)));
+        let all = self
+            .names()
+            .flat_map(|name| [Stream::Points, labels, info].map(|stream| (name, stream)));
         let wanted: Vec<_> = all.filter(|(name, stream)| self.log.has(name, *stream)).collect();
         let mut waiting: Vec<BTreeMap<Nanos, Parts>> = self.agents.iter().map(|_| BTreeMap::new()).collect();
         let (mut left_out, mut done) = (LeftOut::default(), 0);

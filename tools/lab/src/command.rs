@@ -6,7 +6,9 @@ use eyre::Result;
 use realo_cli::Outcome;
 use realo_cli::program::{self, Elsewhere};
 
-use crate::{bench, checkpoint, conformance, emulate, export, import, measure, paper, quantize, score, simulate, train};
+use crate::{
+    bench, checkpoint, conformance, emulate, export, import, measure, paper, quantize, score, simulate, train,
+};
 
 /// What the car's program does, for who asks this one for it.
 const CAR: Elsewhere = Elsewhere {

@@ -47,10 +47,17 @@ fn write(args: &KindArgs, options: &Options) -> Result<Outcome> {
     report_left_out(log);
     unfinished::end_with_signals(&args.output);
     let progress = Progress::new("exporting", "sweeps", Some(0.0));
-    let exported = export(args.exporter, log, &args.output, options, args.force, &mut |done, all| match done {
-        0 => progress.begin(0.0, all as f64),
-        done => progress.set(done as f64),
-    });
+    let exported = export(
+        args.exporter,
+        log,
+        &args.output,
+        options,
+        args.force,
+        &mut |done, all| match done {
+            0 => progress.begin(0.0, all as f64),
+            done => progress.set(done as f64),
+        },
+    );
     progress.finish();
     let exported = exported?;
     unfinished::done(&args.output);

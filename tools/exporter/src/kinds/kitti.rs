@@ -36,7 +36,10 @@ impl Exporter for Kitti {
     ) -> Result<Exported, ExportError> {
         let agents: Vec<&str> = log.info().agents.iter().map(|agent| agent.name.as_str()).collect();
         if options.agents.is_empty() && agents.len() > 1 {
-            let reason = format!("--agent: expected one agent, found {}; name one of them", agents.join(", "));
+            let reason = format!(
+                "--agent: expected one agent, found {}; name one of them",
+                agents.join(", ")
+            );
             return Err(ExportError::Option(reason));
         }
         let scene = Scene::open(log, options)?;
@@ -81,9 +84,16 @@ impl Writing<'_> {
     fn sweep(&mut self, folder: &mut Folder, sweep: &Sweep) -> Result<(), ExportError> {
         let agent = &self.scene.agents[sweep.agent];
         let number = self.summary.sweeps;
-        folder.write(&format!("velodyne/{number:06}.bin"), &rows(&agent.in_lidar(&sweep.cloud), &sweep.cloud.intensity))?;
+        folder.write(
+            &format!("velodyne/{number:06}.bin"),
+            &rows(&agent.in_lidar(&sweep.cloud), &sweep.cloud.intensity),
+        )?;
         let lidar_from_body = agent.lidar_from_body();
-        let labels: Vec<_> = sweep.boxes.iter().map(|object| label(object, &lidar_from_body)).collect();
+        let labels: Vec<_> = sweep
+            .boxes
+            .iter()
+            .map(|object| label(object, &lidar_from_body))
+            .collect();
         self.beside_image += labels.iter().filter(|(_, is_shown)| !is_shown).count();
         let text: String = labels.into_iter().map(|(line, _)| line).collect();
         folder.write(&format!("label_2/{number:06}.txt"), text.as_bytes())?;
@@ -103,7 +113,8 @@ impl Writing<'_> {
     fn exported(self) -> Exported {
         let Writing { scene, summary, .. } = self;
         let mut assumed = lost::assumed_heights(scene);
-        assumed.push("the camera is at the LiDAR and looks ahead, with an image of 1242 × 375 pixels as KITTI's".into());
+        assumed
+            .push("the camera is at the LiDAR and looks ahead, with an image of 1242 × 375 pixels as KITTI's".into());
         assumed.push(format!(
             "{} of {} boxes are not in the image: their rectangle is 0 0 0 0, and `truncated` is 1",
             self.beside_image, summary.boxes
@@ -117,8 +128,10 @@ impl Writing<'_> {
             "outlines of vehicles and words about sensors".into(),
         ];
         lines.extend(lost::of_frames(scene));
+        let height = number(summary.height_m);
+        let footprint = lost::footprint(scene.agents.iter()).unwrap_or_default();
         Exported {
-            read_back: format!("realo-lab import kitti PATH -o LOG.mcap --height {}", number(summary.height_m)),
+            read_back: format!("realo-lab import kitti PATH -o LOG.mcap --height {height}{footprint}"),
             agents: vec![summary],
             assumed,
             lost: lines,

@@ -114,7 +114,10 @@ impl<'a> Writing<'a> {
         let ids = self.ids.of(number, sweep);
         let file = |end: &str| format!("{}/{number:06}.{end}", self.folders[sweep.agent]);
         folder.write(&file("yaml"), yaml(agent, sweep, &ids).as_bytes())?;
-        folder.write(&file("pcd"), &pcd(&agent.in_lidar(&sweep.cloud), &sweep.cloud.intensity))?;
+        folder.write(
+            &file("pcd"),
+            &pcd(&agent.in_lidar(&sweep.cloud), &sweep.cloud.intensity),
+        )?;
         let speeds = sweep.boxes.iter().filter_map(speed);
         self.aside = speeds.fold(self.aside, |most, (_, aside)| most.max(aside));
         let summary = &mut self.agents[sweep.agent];
@@ -138,14 +141,20 @@ impl<'a> Writing<'a> {
         let Writing { scene, .. } = self;
         let rate = 1e9 / scene.period as f64;
         let mut assumed = lost::assumed_heights(scene);
-        assumed.push(format!("a frame is {:.4} s, which is what the sweeps of the log are apart", 1.0 / rate));
+        assumed.push(format!(
+            "a frame is {:.4} s, which is what the sweeps of the log are apart",
+            1.0 / rate
+        ));
         let names: BTreeMap<&str, &str> = scene
             .agents
             .iter()
             .zip(&self.folders)
             .map(|(agent, folder)| (agent.name.as_str(), folder.as_str()))
             .collect();
-        let names: Vec<String> = names.iter().map(|(name, folder)| format!("{name} is `{folder}`")).collect();
+        let names: Vec<String> = names
+            .iter()
+            .map(|(name, folder)| format!("{name} is `{folder}`"))
+            .collect();
         let mut lines = vec![
             format!("names of agents: {}", names.join(", ")),
             format!(
@@ -161,10 +170,14 @@ impl<'a> Writing<'a> {
         }
         if self.ids.without_track > 0 {
             let count = self.ids.without_track;
-            lines.push(format!("that {count} boxes have no track: each has an id of its own for one frame"));
+            lines.push(format!(
+                "that {count} boxes have no track: each has an id of its own for one frame"
+            ));
         }
         lines.extend(lost::of_frames(scene));
         let mut command = "realo-lab import opv2v PATH -o LOG.mcap".to_string();
+        let vehicles = scene.agents.iter().filter(|agent| agent.kind == AgentKind::Vehicle);
+        command += &lost::footprint(vehicles).unwrap_or_default();
         if (rate - 10.0).abs() > 0.005 {
             command += &format!(" --rate {rate:.3}");
         }

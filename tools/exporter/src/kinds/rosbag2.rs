@@ -70,7 +70,10 @@ impl Exporter for Rosbag2 {
         mcap.finish().map_err(|failure| failed(folder, failure))?;
         folder.take(FILE)?;
         let topics: Vec<Topic> = topics.into_values().map(|(_, topic)| topic).collect();
-        folder.write("metadata.yaml", metadata(FILE, &topics, span.unwrap_or((0, 0))).as_bytes())?;
+        folder.write(
+            "metadata.yaml",
+            metadata(FILE, &topics, span.unwrap_or((0, 0))).as_bytes(),
+        )?;
         folder.write(MAP, map_file(log, &agents).as_bytes())?;
         Ok(Exported {
             agents: summaries,
@@ -175,10 +178,22 @@ struct Bag<'a> {
 
 impl Bag<'_> {
     fn messages(&mut self, agents: &[BagAgent], report: Report) -> Result<(), Stopped> {
-        let streams = |agent: &BagAgent| [Stream::Points, agent.poses, Stream::GroundTruth, Stream::GroundTruthInfo];
-        let all = agents.iter().flat_map(|agent| streams(agent).map(|stream| (agent.name, stream)));
+        let streams = |agent: &BagAgent| {
+            [
+                Stream::Points,
+                agent.poses,
+                Stream::GroundTruth,
+                Stream::GroundTruthInfo,
+            ]
+        };
+        let all = agents
+            .iter()
+            .flat_map(|agent| streams(agent).map(|stream| (agent.name, stream)));
         let wanted: Vec<_> = all.filter(|(name, stream)| self.log.has(name, *stream)).collect();
-        let sweeps = agents.iter().map(|agent| self.log.count(agent.name, Stream::Points)).sum();
+        let sweeps = agents
+            .iter()
+            .map(|agent| self.log.count(agent.name, Stream::Points))
+            .sum();
         let mut done = 0;
         report(done, sweeps);
         let mut reader = self.log.read_all(&wanted)?;
@@ -229,7 +244,8 @@ impl Bag<'_> {
         let ready = entry.ready();
         let (first, last) = self.span.unwrap_or((ready, ready));
         self.span = Some((first.min(ready), last.max(ready)));
-        mcap.write(*channel, ready as u64, entry.stamp().max(0) as u64, encode).map(|_| ())
+        mcap.write(*channel, ready as u64, entry.stamp().max(0) as u64, encode)
+            .map(|_| ())
     }
 
     fn cloud(&mut self, index: usize, entry: &Entry) -> Result<(), Stopped> {
@@ -246,7 +262,9 @@ impl Bag<'_> {
         summary.sweeps += 1;
         summary.points += points.len();
         let topic = format!("/{}/points", entry.agent);
-        self.put(topic, Schema::PointCloud2, entry, |out| cloud::encode(out, stamp, &frame, &points))?;
+        self.put(topic, Schema::PointCloud2, entry, |out| {
+            cloud::encode(out, stamp, &frame, &points)
+        })?;
         Ok(())
     }
 
@@ -254,9 +272,15 @@ impl Bag<'_> {
         // What is no pose is counted when the log is played.
         let Ok(state) = entry.pose() else { return Ok(()) };
         let state: &AgentState = &state;
-        let (stamp, frame, map) = (entry.stamp(), body_frame(&entry.agent), &self.log.info().map_frame.clone());
+        let (stamp, frame, map) = (
+            entry.stamp(),
+            body_frame(&entry.agent),
+            &self.log.info().map_frame.clone(),
+        );
         let topic = format!("/{}/pose", entry.agent);
-        self.put(topic, Schema::PoseWithCovarianceStamped, entry, |out| pose::encode(out, stamp, map, state))?;
+        self.put(topic, Schema::PoseWithCovarianceStamped, entry, |out| {
+            pose::encode(out, stamp, map, state)
+        })?;
         self.put("/tf".into(), Schema::TfMessage, entry, |out| {
             pose::encode_transform(out, stamp, map, &frame, &state.map_from_body);
         })?;
@@ -289,8 +313,14 @@ fn lost(log: &Log, agents: &[BagAgent], velocities: bool) -> Vec<String> {
     let has = |stream: Stream| agents.iter().any(|agent| log.has(agent.name, stream));
     let is_motion = [Stream::Imu, Stream::Fix, Stream::Wheels].into_iter().any(has);
     let all = [
-        (velocities, "velocities of objects: read back, they come from the tracks where the import estimates them"),
-        (has(Stream::GroundTruth), "which frames are scored, and points on objects: they are counted again"),
+        (
+            velocities,
+            "velocities of objects: read back, they come from the tracks where the import estimates them",
+        ),
+        (
+            has(Stream::GroundTruth),
+            "which frames are scored, and points on objects: they are counted again",
+        ),
         (
             has(Stream::Pose) && has(Stream::PoseTruth),
             "poses that agents believed; the true ones are written",
@@ -299,7 +329,10 @@ fn lost(log: &Log, agents: &[BagAgent], velocities: bool) -> Vec<String> {
         (has(Stream::Detections), "recorded detections"),
         (is_motion, "motion sensors"),
         (has(Stream::Packets), "precomputed packets"),
-        (has(Stream::GroundTruthViews) || has(Stream::OwnLabelsViews), "views of cameras"),
+        (
+            has(Stream::GroundTruthViews) || has(Stream::OwnLabelsViews),
+            "views of cameras",
+        ),
         (true, "words about the log and its sensors"),
     ];
     let lines = all.into_iter().filter(|(is_there, _)| *is_there);
@@ -315,7 +348,10 @@ fn map_file(log: &Log, agents: &[BagAgent]) -> String {
         let info = log.info().agent(name);
         let kind = info.map_or(AgentKind::Vehicle, |info| info.kind).as_str();
         text += &format!("  {}:\n    kind: {kind}\n    clouds: /{name}/points\n", quoted(name));
-        text += &format!("    frame: {}\n    height: 0\n    pose: /{name}/pose\n", quoted(&body_frame(name)));
+        text += &format!(
+            "    frame: {}\n    height: 0\n    pose: /{name}/pose\n",
+            quoted(&body_frame(name))
+        );
         if agent.has_objects {
             text += &format!("    truth: /{name}/objects\n");
         }

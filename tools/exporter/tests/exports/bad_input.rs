@@ -53,7 +53,14 @@ fn what_a_log_lacks_is_named_and_nothing_is_left() {
             assert_eq!(entries(dir.path()), ["made_up.mcap"]);
         }
         let agent = if kind == "kitti" { "agent" } else { "agents" };
-        let error = try_export(kind, &MadeUp::default().write(dir.path()), &out, &[(agent, "bus")], false).unwrap_err();
+        let error = try_export(
+            kind,
+            &MadeUp::default().write(dir.path()),
+            &out,
+            &[(agent, "bus")],
+            false,
+        )
+        .unwrap_err();
         assert!(error.contains("has no agent `bus`; it has: car"), "{error}");
     }
 }
@@ -66,11 +73,17 @@ fn a_folder_that_is_not_empty_is_refused() {
         fs::create_dir(&out).unwrap();
         try_export(kind, &log, &out, &[], false).unwrap();
         let error = try_export(kind, &log, &out, &[], false).unwrap_err();
-        assert!(error.contains("refuse to overwrite") && error.contains("--force"), "{error}");
+        assert!(
+            error.contains("refuse to overwrite") && error.contains("--force"),
+            "{error}"
+        );
         try_export(kind, &log, &out, &[], true).unwrap();
         fs::write(out.join("notes.txt"), "mine").unwrap();
         let error = try_export(kind, &log, &out, &[], true).unwrap_err();
-        assert!(error.contains("notes.txt") && error.contains("move that file away"), "{error}");
+        assert!(
+            error.contains("notes.txt") && error.contains("move that file away"),
+            "{error}"
+        );
         assert_eq!(fs::read_to_string(out.join("notes.txt")).unwrap(), "mine");
     }
 }

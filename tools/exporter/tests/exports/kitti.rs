@@ -27,7 +27,6 @@ fn each_agent_of_a_simulated_log_comes_back_to_the_digit_of_a_float32() {
                 &moved(&first_after.map_from_body, &after.map_from_body),
             );
             assert_same_clouds(&before.cloud, &after.cloud, height);
-            // The importer takes what is in the outline of a car for the vehicle itself, also of a roadside unit.
             assert_same_boxes(&before.truth, &after.truth);
         }
         let said = exported.to_string();
@@ -41,5 +40,8 @@ fn one_of_several_agents_has_to_be_named() {
     let dir = tempfile::tempdir().unwrap();
     let path = simulated(dir.path());
     let error = try_export("kitti", &path, &dir.path().join("out"), &[], false).unwrap_err();
-    assert!(error.contains("--agent: expected one agent, found cav1, cav2, rsu1; name one"), "{error}");
+    assert!(
+        error.contains("--agent: expected one agent, found cav1, cav2, rsu1; name one"),
+        "{error}"
+    );
 }

@@ -4,7 +4,9 @@ use std::fs;
 
 use realo_logs::{AgentKind, Log};
 
-use crate::reading::{assert_same, assert_same_boxes, assert_same_clouds, assert_same_poses, import, sweeps, try_export};
+use crate::reading::{
+    assert_same, assert_same_boxes, assert_same_clouds, assert_same_poses, import, sweeps, try_export,
+};
 use crate::world::{AGENTS, MadeUp, START, SWEEPS, simulated};
 
 const SCENE: &str = "2026_01_01_00_00_00";
@@ -63,12 +65,21 @@ fn vehicles_have_the_tracks_that_others_know_them_by() {
     let log = simulated(dir.path());
     let out = dir.path().join(SCENE);
     let exported = try_export("opv2v", &log, &out, &[], false).unwrap();
-    let of_cav2 = exported.agents[1].place.trim_start_matches("folder `").trim_end_matches('`');
+    let of_cav2 = exported.agents[1]
+        .place
+        .trim_start_matches("folder `")
+        .trim_end_matches('`');
     let labels = fs::read_to_string(out.join("-1/000000.yaml")).unwrap();
-    assert!(labels.contains(&format!("\n  {of_cav2}:\n")), "{of_cav2} is not in\n{labels}");
+    assert!(
+        labels.contains(&format!("\n  {of_cav2}:\n")),
+        "{of_cav2} is not in\n{labels}"
+    );
     assert!(labels.contains("RSU: true"), "{labels}");
     let own = fs::read_to_string(out.join(of_cav2).join("000000.yaml")).unwrap();
-    assert!(!own.contains(&format!("\n  {of_cav2}:\n")), "a vehicle is not among its own objects");
+    assert!(
+        !own.contains(&format!("\n  {of_cav2}:\n")),
+        "a vehicle is not among its own objects"
+    );
 }
 
 #[test]
@@ -76,12 +87,22 @@ fn agents_and_classes_can_be_chosen() {
     let dir = tempfile::tempdir().unwrap();
     let log = simulated(dir.path());
     let out = dir.path().join(SCENE);
-    let exported = try_export("opv2v", &log, &out, &[("agents", "rsu1,cav2"), ("classes", "car")], false).unwrap();
+    let exported = try_export(
+        "opv2v",
+        &log,
+        &out,
+        &[("agents", "rsu1,cav2"), ("classes", "car")],
+        false,
+    )
+    .unwrap();
     let names: Vec<&str> = exported.agents.iter().map(|agent| agent.name.as_str()).collect();
     assert_eq!(names, ["cav2", "rsu1"]);
     let labels = fs::read_to_string(out.join("-1/000000.yaml")).unwrap();
     let classes = labels.lines().filter(|line| line.contains("obj_type"));
-    assert!(classes.clone().count() > 0 && classes.clone().all(|line| line.ends_with("\"Car\"")), "{labels}");
+    assert!(
+        classes.clone().count() > 0 && classes.clone().all(|line| line.ends_with("\"Car\"")),
+        "{labels}"
+    );
 }
 
 #[test]
@@ -96,7 +117,10 @@ fn a_tilted_log_without_a_height_comes_back_as_the_export_says() {
     let exported = try_export("opv2v", &log, &out, &[], false).unwrap();
     assert!(exported.read_back.ends_with("--level none"), "{exported}");
     let said = exported.to_string();
-    for line in ["the LiDAR of car is 1.8 m over the ground, for the log does not say it (--height)", "2 boxes have no track"] {
+    for line in [
+        "the LiDAR of car is 1.8 m over the ground, for the log does not say it (--height)",
+        "2 boxes have no track",
+    ] {
         assert!(said.contains(line), "{line} is not in\n{said}");
     }
     import(&exported, &back);

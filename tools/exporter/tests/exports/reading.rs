@@ -13,7 +13,10 @@ pub fn try_export(kind: &str, log: &Path, out: &Path, set: &[(&str, &str)], forc
     let exporter = exporter(kind).unwrap();
     let mut options = Options::default();
     for (name, value) in set {
-        exporter.kind().set(&mut options, name, value).map_err(|error| error.to_string())?;
+        exporter
+            .kind()
+            .set(&mut options, name, value)
+            .map_err(|error| error.to_string())?;
     }
     let log = Log::open(log).unwrap();
     export(exporter, &log, out, &options, force, &mut |_, _| {}).map_err(|error| error.to_string())
@@ -29,7 +32,11 @@ pub fn import(exported: &Exported, log: &Path) {
         let name = pair[0].strip_prefix("--").unwrap();
         importer.kind().set(&mut options, name, pair[1]).unwrap();
     }
-    importer.job(&exported.path, log, &options).unwrap().run(&mut |_, _, _| {}).unwrap();
+    importer
+        .job(&exported.path, log, &options)
+        .unwrap()
+        .run(&mut |_, _, _| {})
+        .unwrap();
 }
 
 /// A sweep of an agent.
@@ -43,7 +50,13 @@ pub struct Read {
 /// The sweeps of an agent of a log, with its true poses where there are some.
 pub fn sweeps(log: &Log, agent: &str) -> Vec<Read> {
     let is_true = log.has(agent, Stream::PoseTruth);
-    let track = pose_track(log, agent, if is_true { Stream::PoseTruth } else { Stream::Pose }, MAX_GAP).unwrap();
+    let track = pose_track(
+        log,
+        agent,
+        if is_true { Stream::PoseTruth } else { Stream::Pose },
+        MAX_GAP,
+    )
+    .unwrap();
     let wanted = [Stream::Points, Stream::GroundTruth, Stream::GroundTruthInfo].map(|stream| (agent, stream));
     let mut reader = log.read_all(&wanted).unwrap();
     let (mut found, mut boxes) = (Vec::<Read>::new(), realo_schemas::Boxes::default());
@@ -93,7 +106,10 @@ pub fn assert_same_boxes(a: &[Box3], b: &[Box3]) {
             let [x, y, z] = object.center;
             [x, y, z, object.length, object.width, object.height]
         };
-        all(a).into_iter().zip(all(b)).for_each(|(a, b)| assert_same(a, b, "box"));
+        all(a)
+            .into_iter()
+            .zip(all(b))
+            .for_each(|(a, b)| assert_same(a, b, "box"));
         let turned = realo_schemas::geometry::normalize_yaw(a.yaw - b.yaw);
         assert_same(turned, 0.0, "heading");
     }

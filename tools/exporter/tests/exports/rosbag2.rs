@@ -24,14 +24,21 @@ fn a_simulated_log_comes_back_with_its_names_and_stamps() {
             assert_eq!(before.stamp, after.stamp);
             assert_same_poses(&before.map_from_body, &after.map_from_body);
             assert_same_clouds(&before.cloud, &after.cloud, 0.0);
-            assert_eq!((&before.cloud.time, &before.cloud.ring), (&after.cloud.time, &after.cloud.ring));
+            assert_eq!(
+                (&before.cloud.time, &before.cloud.ring),
+                (&after.cloud.time, &after.cloud.ring)
+            );
             assert_same_boxes(&before.truth, &after.truth);
             let tracks = |boxes: &[realo_schemas::Box3]| boxes.iter().map(|object| object.track).collect::<Vec<_>>();
             assert_eq!(tracks(&before.truth), tracks(&after.truth));
         }
     }
     let metadata = fs::read_to_string(out.join("metadata.yaml")).unwrap();
-    for line in ["storage_identifier: mcap", "name: /cav1/objects", "type: visualization_msgs/msg/MarkerArray"] {
+    for line in [
+        "storage_identifier: mcap",
+        "name: /cav1/objects",
+        "type: visualization_msgs/msg/MarkerArray",
+    ] {
         assert!(metadata.contains(line), "{line} is not in\n{metadata}");
     }
 }

@@ -61,7 +61,11 @@ impl MadeUp {
             sensor_position: None,
         };
         let mut log = LogWriter::create(&path, &LogInfo::new("a test", vec![agent])).unwrap();
-        let (x, y, z) = (vec![10.0_f32, 11.5, -3.25], vec![2.0_f32, 2.5, 8.125], vec![0.1_f32, 1.2, 0.01]);
+        let (x, y, z) = (
+            vec![10.0_f32, 11.5, -3.25],
+            vec![2.0_f32, 2.5, 8.125],
+            vec![0.1_f32, 1.2, 0.01],
+        );
         let cloud = PointCloud::new(x, y, z, vec![0_u8, 100, 255], vec![0_i32; 3], vec![0_u16; 3]).unwrap();
         for sweep in 0..2 {
             let stamp = START + sweep * PERIOD;
@@ -82,7 +86,8 @@ impl MadeUp {
                 false => log.sweep("car", stamp, ready).unwrap(),
             }
             if self.truth {
-                log.truth("car", stamp, ready, std::slice::from_ref(&self.object), None, true).unwrap();
+                log.truth("car", stamp, ready, std::slice::from_ref(&self.object), None, true)
+                    .unwrap();
             }
         }
         log.finish().unwrap();

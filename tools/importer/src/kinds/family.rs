@@ -122,16 +122,14 @@ impl Layout for Family {
         let file = FrameFile::read(&files.labels);
         let said = faults.keep(FileKind::Labels, file.and_then(|file| self.said(&file, options)));
         let points = faults.keep(FileKind::Cloud, points(&files.cloud, options));
-        let sweep = said
-            .zip(points)
-            .map(|(said, points)| RawSweep {
-                map_from_lidar: said.map_from_lidar,
-                height: said.height,
-                points,
-                labels: said.labels,
-                dropped: said.dropped,
-                view: None,
-            });
+        let sweep = said.zip(points).map(|(said, points)| RawSweep {
+            map_from_lidar: said.map_from_lidar,
+            height: said.height,
+            points,
+            labels: said.labels,
+            dropped: said.dropped,
+            view: None,
+        });
         faults.or(sweep)
     }
 

@@ -53,7 +53,10 @@ fn command(kind: &'static Kind) -> Command {
 }
 
 fn arg(info: &'static OptionInfo, default: &'static str) -> Arg {
-    let arg = Arg::new(info.name).long(info.name).help(info.help).value_name(info.value);
+    let arg = Arg::new(info.name)
+        .long(info.name)
+        .help(info.help)
+        .value_name(info.value);
     let arg = match info.choices {
         [] => arg.allow_hyphen_values(true),
         choices => arg.value_parser(PossibleValuesParser::new(choices.iter().copied())),
@@ -120,7 +123,10 @@ mod tests {
             assert_eq!(args.options().unwrap(), Options::default());
             assert!(!args.force);
         }
-        let args = parsed(&["kitti", "a.mcap", "-o", "out", "--agent", "cav1", "--height", "1.9", "--force"]).unwrap();
+        let args = parsed(&[
+            "kitti", "a.mcap", "-o", "out", "--agent", "cav1", "--height", "1.9", "--force",
+        ])
+        .unwrap();
         let options = args.options().unwrap();
         assert_eq!((options.agents, options.height_m), (vec!["cav1".into()], Some(1.9)));
         assert!(args.force);

@@ -74,8 +74,7 @@ fn rectangle(in_lidar: &Box3) -> Option<(f64, [f64; 4])> {
         }
     }
     let is_ahead = corners(in_lidar).any(|corner| corner.x > NEAREST);
-    let inside: [[f64; 2]; 2] =
-        std::array::from_fn(|axis| [min[axis].max(0.0), max[axis].min(IMAGE[axis] - 1.0)]);
+    let inside: [[f64; 2]; 2] = std::array::from_fn(|axis| [min[axis].max(0.0), max[axis].min(IMAGE[axis] - 1.0)]);
     if !is_ahead || inside.iter().any(|[from, to]| from >= to) {
         return None;
     }
@@ -91,7 +90,13 @@ fn corners(object: &Box3) -> impl Iterator<Item = Point3<f64>> {
     let half = [object.length, object.width, object.height].map(|edge| edge / 2.0);
     let center = object.center;
     (0..8).map(move |corner| {
-        let side = |bit: u32| if corner >> bit & 1 == 0 { -half[bit as usize] } else { half[bit as usize] };
+        let side = |bit: u32| {
+            if corner >> bit & 1 == 0 {
+                -half[bit as usize]
+            } else {
+                half[bit as usize]
+            }
+        };
         let (along, across) = (side(0), side(1));
         let x = center[0] + along * cos - across * sin;
         let y = center[1] + along * sin + across * cos;
@@ -116,14 +121,20 @@ mod tests {
         // The near end is 18 m ahead, and 1 to 3 m to the left.
         assert!((number(4) - (609.5593 - 721.5377 * 3.0 / 18.0)).abs() < 0.01, "{line}");
         assert!((number(7) - (172.854 + 721.5377 * 1.8 / 18.0)).abs() < 0.01, "{line}");
-        let (line, is_shown) = label(&Box3::new("police car", [-20.0, 2.0, 0.75], [4.0, 2.0, 1.5], 3.0), &raised);
+        let (line, is_shown) = label(
+            &Box3::new("police car", [-20.0, 2.0, 0.75], [4.0, 2.0, 1.5], 3.0),
+            &raised,
+        );
         assert!(!is_shown && line.starts_with("police_car 1.00 3 "), "{line}");
         assert!(line.contains(" 0.00 0.00 0.00 0.00 1.5 2.0 4.0 "), "{line}");
     }
 
     #[test]
     fn the_axes_are_those_of_the_calibration() {
-        let words = CALIBRATION.lines().find_map(|line| line.strip_prefix("Tr_velo_to_cam: ")).unwrap();
+        let words = CALIBRATION
+            .lines()
+            .find_map(|line| line.strip_prefix("Tr_velo_to_cam: "))
+            .unwrap();
         let rows: Vec<f64> = words.split(' ').map(|word| word.parse().unwrap()).collect();
         let found = camera_from_lidar().to_homogeneous().transpose();
         let apart = found.as_slice().iter().zip(&rows).map(|(a, b)| (a - b).abs());

@@ -20,7 +20,10 @@ const OPEN_FRAMES: usize = 32;
 /// The label file of a sweep; `ids`: of its boxes.
 pub fn yaml(agent: &SceneAgent, sweep: &Sweep, ids: &[u64]) -> String {
     let map_from_lidar = sweep.map_from_body * agent.lidar_from_body().inverse();
-    let speed = agent.track.motion_at(sweep.stamp).map_or(0.0, |(velocity, _)| velocity.norm());
+    let speed = agent
+        .track
+        .motion_at(sweep.stamp)
+        .map_or(0.0, |(velocity, _)| velocity.norm());
     let mut text = format!(
         "ego_speed: {}\nlidar_height: {}\nlidar_pose: [{}]\ntrue_ego_pos: [{}]\n",
         number(3.6 * speed),
@@ -142,10 +145,21 @@ mod tests {
     #[test]
     fn boxes_without_tracks_of_two_agents_are_one_object_where_they_are_near() {
         let mut ids = Ids::new(&[7, 9].into(), &["12".into(), "-1".into()]);
-        assert_eq!(ids.of(0, &sweep(&[(5.0, Some(7)), (10.0, None), (20.0, None)], 0.0)), [7, 13, 14]);
+        assert_eq!(
+            ids.of(0, &sweep(&[(5.0, Some(7)), (10.0, None), (20.0, None)], 0.0)),
+            [7, 13, 14]
+        );
         assert_eq!(ids.of(0, &sweep(&[(20.3, None), (30.0, None)], 8.0)), [14, 15]);
-        assert_eq!(ids.of(1, &sweep(&[(30.0, None)], 8.0)), [13], "a frame has numbers of its own");
-        assert_eq!(ids.of(2, &sweep(&[(1.0, Some(9)), (2.0, Some(9))], 0.0)), [9, 13], "no id is there twice");
+        assert_eq!(
+            ids.of(1, &sweep(&[(30.0, None)], 8.0)),
+            [13],
+            "a frame has numbers of its own"
+        );
+        assert_eq!(
+            ids.of(2, &sweep(&[(1.0, Some(9)), (2.0, Some(9))], 0.0)),
+            [9, 13],
+            "no id is there twice"
+        );
         assert_eq!(ids.without_track, 6);
     }
 

@@ -141,8 +141,9 @@ impl FrameFile {
         let height = value.as_f64().filter(|height| (0.0..=MOST_HEIGHT).contains(height));
         height.map(Some).ok_or_else(|| {
             let found = what(value);
-            self.document
-                .error(format!("{HEIGHT}: expected 0 to {MOST_HEIGHT} m, found {found}; correct it, or remove the key"))
+            self.document.error(format!(
+                "{HEIGHT}: expected 0 to {MOST_HEIGHT} m, found {found}; correct it, or remove the key"
+            ))
         })
     }
 
