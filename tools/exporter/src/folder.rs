@@ -169,9 +169,14 @@ impl Folder {
 
     /// Why writing stopped.
     pub fn failed(&self, name: &str, reason: io::Error) -> ExportError {
+        self.failed_behind(name, 0, reason)
+    }
+
+    /// Why writing a file stopped of which so many bytes were written.
+    pub fn failed_behind(&self, name: &str, bytes: u64, reason: io::Error) -> ExportError {
         ExportError::Unfinished {
             path: self.target.join(name),
-            written: self.written,
+            written: self.written + bytes,
             reason,
         }
     }

@@ -49,11 +49,12 @@ pub fn assumed_heights(scene: &Scene) -> Vec<String> {
     unknown.map(line).collect()
 }
 
-/// The outline that is inside of all agents' own, as the option of an import.
+/// The outline that is inside of all agents' own, in whole mm, as the option of an import.
 pub fn footprint<'a>(agents: impl Iterator<Item = &'a SceneAgent>) -> Option<String> {
     let inner =
         |[a0, a1, a2, a3]: [f64; 4], [b0, b1, b2, b3]: [f64; 4]| [a0.max(b0), a1.min(b1), a2.max(b2), a3.min(b3)];
-    let common = agents.map(SceneAgent::outline).reduce(inner);
+    let inwards = |metres: f64| (1e3 * metres).trunc() / 1e3;
+    let common = agents.map(|agent| agent.outline().map(inwards)).reduce(inner);
     let [x0, x1, y0, y1] = common.filter(|[x0, x1, y0, y1]| x0 < x1 && y0 < y1)?;
     Some(format!(" --footprint {}", [x0, x1, y0, y1].map(number).join(",")))
 }

@@ -159,7 +159,7 @@ impl Stopped {
 }
 
 fn failed(folder: &Folder, failure: Failure) -> ExportError {
-    folder.failed(FILE, std::io::Error::other(failure.reason))
+    folder.failed_behind(FILE, failure.written, std::io::Error::other(failure.reason))
 }
 
 struct Bag<'a> {

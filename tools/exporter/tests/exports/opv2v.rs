@@ -2,7 +2,7 @@
 
 use std::fs;
 
-use realo_logs::{AgentKind, Log};
+use realo_logs::{AgentKind, Log, Stream};
 
 use crate::reading::{
     assert_same, assert_same_boxes, assert_same_clouds, assert_same_poses, import, sweeps, try_export,
@@ -130,5 +130,45 @@ fn a_tilted_log_without_a_height_comes_back_as_the_export_says() {
         assert_same_poses(&before.map_from_body, &after.map_from_body);
         assert_same_clouds(&before.cloud, &after.cloud, 1.8);
         assert_same_boxes(&before.truth, &after.truth);
+    }
+}
+
+#[test]
+fn an_imported_scene_comes_back_whole_by_its_own_labels() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    let first = try_export(
+        "opv2v",
+        &simulated(dir.path()),
+        &at(SCENE),
+        &[("agents", "cav1,rsu1")],
+        false,
+    )
+    .unwrap();
+    import(&first, &at("first.mcap"));
+    let scene = dir.path().join("again").join(SCENE);
+    let again = try_export("opv2v", &at("first.mcap"), &scene, &[("labels", "own")], false).unwrap();
+    import(&again, &at("again.mcap"));
+    let (before, after) = (
+        Log::open(at("first.mcap")).unwrap(),
+        Log::open(at("again.mcap")).unwrap(),
+    );
+    let names = |log: &Log| {
+        log.info()
+            .agents
+            .iter()
+            .map(|agent| agent.name.clone())
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(names(&before), names(&after));
+    for agent in &before.info().agents {
+        let messages = |log: &Log| Stream::ALL.map(|stream| log.count(&agent.name, stream));
+        assert_eq!(messages(&before), messages(&after));
+        for (before, after) in sweeps(&before, &agent.name).iter().zip(&sweeps(&after, &agent.name)) {
+            assert_eq!(before.stamp, after.stamp);
+            assert_same_poses(&before.map_from_body, &after.map_from_body);
+            assert_same_clouds(&before.cloud, &after.cloud, agent.sensor_position.unwrap()[2]);
+            assert_same_boxes(&before.truth, &after.truth);
+        }
     }
 }
