@@ -26,6 +26,9 @@ fn writing_that_fails_says_what_happened_and_what_is_left() {
     for args in [
         &["simulate", "--seed", "1", "--seconds", "2", "-o", &*out][..],
         &["import", "log", &log, "-o", &out],
+        &["export", "opv2v", &log, "-o", &out],
+        &["export", "kitti", &log, "-o", &out, "--agent", "cav1"],
+        &["export", "rosbag2", &log, "-o", &out],
     ] {
         // The signal that a long file gives is ignored, so that writing fails as on a full disk.
         let output = Command::new("sh")

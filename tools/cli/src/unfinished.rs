@@ -1,4 +1,4 @@
-//! Files that a command is writing: a signal that ends the command takes away what there is of them.
+//! Files and folders that a command is writing: a signal that ends the command takes away what there is of them.
 
 use std::fs::{self, File};
 use std::path::{Path, PathBuf};
@@ -97,7 +97,11 @@ fn remove_where(target: &Path, is_wanted: impl Fn(u32, &Path) -> bool) {
         let process = process.and_then(|process| process.parse().ok());
         if process.is_some_and(|process| is_wanted(process, &entry.path())) {
             // Whoever cannot remove it could not have written it.
-            let _ = fs::remove_file(entry.path());
+            let path = entry.path();
+            let _ = match path.is_dir() {
+                true => fs::remove_dir_all(path),
+                false => fs::remove_file(path),
+            };
         }
     }
 }
@@ -132,6 +136,7 @@ mod tests {
         let (dead, living) = (u32::MAX, std::process::id());
         let files = [dead, living].map(|process| at(&format!("log.mcap.{process}.partial")));
         let other = at(&format!("other.mcap.{dead}.partial"));
+        fs::create_dir_all(at(&format!("log.mcap.{}.partial/in", dead - 1))).unwrap();
         for file in files.iter().chain([&other]) {
             fs::write(file, "").unwrap();
         }
@@ -139,6 +144,10 @@ mod tests {
         written.lock().unwrap();
         remove_where(&at("log.mcap"), is_left);
         assert!(files[0].exists(), "somebody writes there");
+        assert!(
+            !at(&format!("log.mcap.{}.partial", dead - 1)).exists(),
+            "nobody writes there"
+        );
         drop(written);
         remove_where(&at("log.mcap"), is_left);
         assert!(!files[0].exists() && files[1].exists() && other.exists());

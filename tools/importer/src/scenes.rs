@@ -70,6 +70,8 @@ pub struct SweepFiles {
 pub struct RawSweep {
     /// Pose of the LiDAR.
     pub map_from_lidar: Isometry3<f64>,
+    /// Height of the LiDAR over the ground, m, where its files say it.
+    pub height: Option<f64>,
     /// In the frame of the LiDAR.
     pub points: Points,
     /// What the agent's side labelled.

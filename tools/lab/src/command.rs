@@ -6,7 +6,9 @@ use eyre::Result;
 use realo_cli::Outcome;
 use realo_cli::program::{self, Elsewhere};
 
-use crate::{bench, checkpoint, conformance, emulate, import, measure, paper, quantize, score, simulate, train};
+use crate::{
+    bench, checkpoint, conformance, emulate, export, import, measure, paper, quantize, score, simulate, train,
+};
 
 /// What the car's program does, for who asks this one for it.
 const CAR: Elsewhere = Elsewhere {
@@ -49,6 +51,7 @@ enum Command {
     Quantize(quantize::Args),
     Checkpoint(checkpoint::Args),
     Import(import::Args),
+    Export(export::Args),
     Conformance(conformance::Args),
     Bench(bench::Args),
     Emulate(emulate::Args),
@@ -70,6 +73,7 @@ impl Command {
             Command::Quantize(args) => quantize::main(args),
             Command::Checkpoint(args) => checkpoint::main(args),
             Command::Import(args) => import::main(args),
+            Command::Export(args) => export::main(args),
             Command::Conformance(args) => conformance::main(args),
             Command::Bench(args) => bench::main(args),
             Command::Emulate(args) => emulate::main(args),

@@ -7,6 +7,7 @@ mod checkpoint;
 mod command;
 mod conformance;
 mod emulate;
+mod export;
 mod import;
 pub mod measure;
 mod paper;

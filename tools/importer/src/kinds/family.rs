@@ -99,6 +99,15 @@ pub const fn options(
 /// A vehicle's outline about its LiDAR, m: the points that readers of the set remove as the vehicle's own.
 const OPENCOOD_FOOTPRINT: &str = "-1.95,2.95,-1.1,1.1";
 
+/// What a label file says, right-handed.
+struct Said {
+    map_from_lidar: Isometry3<f64>,
+    height: Option<f64>,
+    labels: Vec<Label>,
+    /// Labels without a size.
+    dropped: usize,
+}
+
 impl Layout for Family {
     fn title(&self) -> &'static str {
         self.title
@@ -113,15 +122,14 @@ impl Layout for Family {
         let file = FrameFile::read(&files.labels);
         let said = faults.keep(FileKind::Labels, file.and_then(|file| self.said(&file, options)));
         let points = faults.keep(FileKind::Cloud, points(&files.cloud, options));
-        let sweep = said
-            .zip(points)
-            .map(|((map_from_lidar, labels, dropped), points)| RawSweep {
-                map_from_lidar,
-                points,
-                labels,
-                dropped,
-                view: None,
-            });
+        let sweep = said.zip(points).map(|(said, points)| RawSweep {
+            map_from_lidar: said.map_from_lidar,
+            height: said.height,
+            points,
+            labels: said.labels,
+            dropped: said.dropped,
+            view: None,
+        });
         faults.or(sweep)
     }
 
@@ -155,9 +163,7 @@ impl Layout for Family {
 }
 
 impl Family {
-    /// Pose and labels of a file, right-handed, and how many labels have no size.
-    #[allow(clippy::type_complexity, reason = "it has no other use")]
-    fn said(&self, file: &FrameFile, options: &Options) -> Result<(Isometry3<f64>, Vec<Label>, usize), ImportError> {
+    fn said(&self, file: &FrameFile, options: &Options) -> Result<Said, ImportError> {
         let turned = |pose: Isometry3<f64>| match options.handed {
             Handed::Left => mirrored(&pose),
             Handed::Right => pose,
@@ -178,7 +184,12 @@ impl Family {
             })
             .collect();
         let dropped = all - labels.len();
-        Ok((map_from_lidar, labels, dropped))
+        Ok(Said {
+            map_from_lidar,
+            height: file.height()?,
+            labels,
+            dropped,
+        })
     }
 
     fn label(&self, file: &FrameFile, object: Object, map_from_object: Isometry3<f64>, options: &Options) -> Label {

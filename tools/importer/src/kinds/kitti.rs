@@ -139,6 +139,7 @@ impl Layout for KittiLayout {
             let view = faults.keep(FileKind::Calibration, calibration.view())?;
             Some(RawSweep {
                 map_from_lidar,
+                height: None,
                 points,
                 labels,
                 dropped,

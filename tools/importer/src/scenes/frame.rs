@@ -62,6 +62,7 @@ impl SceneImport<'_> {
     ) -> Result<(BodySweep, Labelled), FaultsOfSweep> {
         let RawSweep {
             map_from_lidar,
+            height: _,
             points,
             labels,
             dropped,

@@ -26,6 +26,7 @@ impl Known {
     /// No ground, where its height is needed.
     pub fn of(layout: &dyn Layout, scene: &Scene, agent: &SceneAgent, options: &Options) -> Result<Self, ImportError> {
         let (mut brightest, mut heights, mut reason) = (Brightest::default(), Vec::new(), None);
+        let mut by_files = None;
         let wanted = agent.sweeps.iter().filter(|(number, _)| options.wants_frame(**number));
         let needs_ground = options.level != Level::Ground && options.height_m.is_none();
         for (_, files) in wanted.take(LOOKED_AT) {
@@ -33,7 +34,8 @@ impl Known {
                 continue;
             };
             brightest.look_at(&sweep.points.intensity);
-            if needs_ground && heights.len() < GROUNDS {
+            by_files = by_files.or(sweep.height);
+            if needs_ground && by_files.is_none() && heights.len() < GROUNDS {
                 match height(&sweep, options.level) {
                     Ok(height) => heights.push(height),
                     Err(error) => reason = Some((files.cloud.clone(), error)),
@@ -41,7 +43,8 @@ impl Known {
             }
         }
         heights.sort_by(f64::total_cmp);
-        let height = match (options.height_m, heights.get(heights.len() / 2), reason) {
+        let stated = options.height_m.or(by_files.filter(|_| needs_ground));
+        let height = match (stated, heights.get(heights.len() / 2), reason) {
             (Some(height), ..) => height,
             (None, Some(height), _) => *height,
             (None, None, Some((cloud, reason))) => {

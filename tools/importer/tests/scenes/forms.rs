@@ -257,7 +257,7 @@ fn points_and_poses_of_different_hands_do_not_overlap() {
     let summary = made.import(&[]).unwrap();
     let residual = &summary.residuals[0];
     assert!(residual.metres.is_none_or(|metres| metres > 0.5), "{residual}");
-    assert!(summary.to_string().contains("try --handed"), "{summary}");
+    assert!(summary.to_string().contains("clocks and hands"), "{summary}");
 }
 
 #[test]
@@ -287,4 +287,37 @@ fn a_folder_says_what_it_is() {
     }
     let error = look_at(dir.path().parent().unwrap().join("nowhere").as_path());
     assert!(error.fits.is_empty());
+}
+
+#[test]
+fn a_height_that_the_files_say_counts_before_the_ground() {
+    let made = Made::new(&OPV2V);
+    let say = |height: &str| {
+        for number in [0, 2, 4, 6].map(|step| 68 + step) {
+            let path = made.labels("641", number);
+            if let Ok(text) = fs::read_to_string(&path) {
+                let kept: Vec<&str> = text.lines().filter(|line| !line.starts_with("lidar_height")).collect();
+                fs::write(&path, format!("lidar_height: {height}\n{}\n", kept.join("\n"))).unwrap();
+            }
+        }
+    };
+    say("2.25");
+    let height = |agent: usize| {
+        let log = Log::open(made.out()).unwrap();
+        log.info().agents[agent].sensor_position.unwrap()[2]
+    };
+    made.import(&[]).unwrap();
+    assert_eq!(height(0), 2.25);
+    assert!(
+        (height(1) - AGENTS[1].six[2]).abs() < 0.02,
+        "the other agent's files say none"
+    );
+    made.import(&[("height", "1.5")]).unwrap();
+    assert_eq!(height(0), 1.5, "an option counts before files");
+    say("high");
+    let error = made.import(&[]).unwrap_err();
+    assert!(
+        error.contains("lidar_height: expected 0 to 50 m, found `high`"),
+        "{error}"
+    );
 }

@@ -1,0 +1,141 @@
+//! The layouts: one trait, one registry, and the export of a log in one of them.
+
+mod kitti;
+mod opv2v;
+mod rosbag2;
+
+use std::path::Path;
+
+use realo_logs::Log;
+
+use crate::{ExportError, Exported, Folder, Options};
+
+/// What a layout is, and what its export takes.
+pub struct Kind {
+    /// As `realo-lab export` calls it.
+    pub name: &'static str,
+    /// What it is.
+    pub title: &'static str,
+    /// What of it is written.
+    pub writes: &'static str,
+    /// Options that it takes, each with its default, empty where there is none.
+    pub options: &'static [(&'static str, &'static str)],
+}
+
+impl Kind {
+    /// Sets an option from its text.
+    ///
+    /// # Errors
+    /// An option that this kind does not take; a value that is not one.
+    pub fn set(&self, options: &mut Options, name: &str, text: &str) -> Result<(), ExportError> {
+        let names: Vec<String> = self.options.iter().map(|(name, _)| format!("--{name}")).collect();
+        match self.options.iter().any(|(known, _)| *known == name) {
+            true => options.set(name, text).map_err(ExportError::Option),
+            false => Err(ExportError::Option(format!(
+                "--{name}: `{}` does not take it; it takes {}",
+                self.name,
+                names.join(", ")
+            ))),
+        }
+    }
+}
+
+/// Is called with sweeps that are done, and all sweeps.
+pub type Report<'a> = &'a mut dyn FnMut(u64, u64);
+
+/// Writes logs in one layout.
+pub trait Exporter: Sync {
+    /// What it is.
+    fn kind(&self) -> &'static Kind;
+
+    /// Writes a log into a folder. [`Exported::path`] and [`Exported::bytes`] are filled in by [`export`].
+    ///
+    /// # Errors
+    /// A log that does not have what the layout needs; why writing failed.
+    fn write(&self, log: &Log, folder: &mut Folder, options: &Options, report: Report)
+    -> Result<Exported, ExportError>;
+}
+
+/// All kinds.
+pub static KINDS: &[&dyn Exporter] = &[&opv2v::Opv2v, &kitti::Kitti, &rosbag2::Rosbag2];
+
+/// A kind by its name.
+///
+/// # Errors
+/// The names that there are.
+pub fn exporter(name: &str) -> Result<&'static dyn Exporter, ExportError> {
+    let found = KINDS.iter().find(|exporter| exporter.kind().name == name);
+    let names: Vec<&str> = KINDS.iter().map(|exporter| exporter.kind().name).collect();
+    found.copied().ok_or_else(|| {
+        let name: String = name.chars().take(40).collect::<String>().escape_debug().collect();
+        ExportError::Option(format!("there is no kind `{name}`; there are {}", names.join(", ")))
+    })
+}
+
+/// The kinds with what each writes, for `export --list`.
+pub fn list() -> String {
+    let line = |exporter: &&dyn Exporter| {
+        let Kind {
+            name, title, writes, ..
+        } = exporter.kind();
+        format!("{name:<10} {title}\n{:<10} writes {writes}", "")
+    };
+    KINDS.iter().map(line).collect::<Vec<_>>().join("\n")
+}
+
+/// Writes a log to a folder, which appears when it is complete. `replace`: an earlier export there is replaced.
+///
+/// # Errors
+/// An output of somebody else; a log that does not have what the layout needs; why writing failed.
+pub fn export(
+    exporter: &dyn Exporter,
+    log: &Log,
+    output: &Path,
+    options: &Options,
+    replace: bool,
+    report: Report,
+) -> Result<Exported, ExportError> {
+    let mut folder = Folder::create(output, replace)?;
+    let mut exported = exporter.write(log, &mut folder, options, report)?;
+    exported.kind = exporter.kind().name;
+    exported.path = output.into();
+    exported.bytes = folder.written();
+    exported.read_back = exported.read_back.replace("PATH", &output.display().to_string());
+    folder.finish(exported.kind, log.path(), replace)?;
+    Ok(exported)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+    use crate::option_info;
+
+    #[test]
+    fn options_of_kinds_exist_and_take_their_defaults() {
+        for exporter in KINDS {
+            let kind = exporter.kind();
+            for (name, default) in kind.options {
+                assert!(option_info(name).is_some(), "{}: --{name}", kind.name);
+                if !default.is_empty() {
+                    let mut options = Options::default();
+                    kind.set(&mut options, name, default).unwrap();
+                    assert_eq!(options, Options::default(), "{}: --{name}", kind.name);
+                }
+            }
+            assert!(std::ptr::eq(super::exporter(kind.name).unwrap().kind(), kind));
+            assert!(list().contains(kind.name));
+        }
+        let error = KINDS[0]
+            .kind()
+            .set(&mut Options::default(), "agent", "cav1")
+            .unwrap_err();
+        assert!(
+            error
+                .to_string()
+                .contains("`opv2v` does not take it; it takes --agents"),
+            "{error}"
+        );
+        let error = exporter("bag").err().unwrap().to_string();
+        assert!(error.contains("there are opv2v, kitti, rosbag2"), "{error}");
+    }
+}

@@ -1,0 +1,195 @@
+//! OPV2V: `AGENT/000000.yaml` with `.pcd` beside it, in CARLA's left-handed world.
+
+mod cloud;
+mod labels;
+
+use std::collections::{BTreeMap, BTreeSet};
+
+use realo_logs::{AgentKind, Log};
+use realo_schemas::Nanos;
+
+use self::cloud::pcd;
+use self::labels::{Ids, yaml};
+use super::{Exporter, Kind, Report};
+use crate::scene::{Scene, SceneAgent, Sweep, speed};
+use crate::{ExportError, Exported, ExportedAgent, Folder, Options, lost};
+
+/// OPV2V.
+pub struct Opv2v;
+
+static KIND: Kind = Kind {
+    name: "opv2v",
+    title: "OPV2V's layout, a scene of all agents",
+    writes: "AGENT/000000.yaml (pose, boxes) and AGENT/000000.pcd for each sweep",
+    options: &[("agents", ""), ("classes", ""), ("labels", "truth"), ("height", "")],
+};
+
+impl Exporter for Opv2v {
+    fn kind(&self) -> &'static Kind {
+        &KIND
+    }
+
+    fn write(
+        &self,
+        log: &Log,
+        folder: &mut Folder,
+        options: &Options,
+        report: Report,
+    ) -> Result<Exported, ExportError> {
+        let scene = Scene::open(log, options)?;
+        let folders = folders(&scene);
+        let mut writing = Writing::new(&scene, folders);
+        let left_out = scene.each_sweep(report, |sweep| writing.sweep(folder, &sweep))?;
+        writing.need_any()?;
+        let mut exported = writing.exported();
+        exported.left_out.splice(0..0, left_out.lines(options.labels));
+        Ok(exported)
+    }
+}
+
+/// The folder of each agent: of a vehicle its track in the boxes of others, so that it is known among them; of a roadside unit a
+/// negative number.
+fn folders(scene: &Scene) -> Vec<String> {
+    let mut taken: BTreeSet<u64> = scene.tracks.clone();
+    let mut own = BTreeSet::new();
+    let mut roadside = 0;
+    let mut folder = |agent: &SceneAgent| {
+        if agent.kind == AgentKind::Roadside {
+            roadside += 1;
+            return format!("-{roadside}");
+        }
+        if let Some(track) = agent.own_track.filter(|track| own.insert(*track)) {
+            return track.to_string();
+        }
+        let digits: String = agent.name.chars().filter(char::is_ascii_digit).take(9).collect();
+        let wanted: u64 = digits.parse().unwrap_or(1);
+        let free = (wanted..).find(|number| taken.insert(*number)).unwrap_or(wanted);
+        free.to_string()
+    };
+    scene.agents.iter().map(&mut folder).collect()
+}
+
+struct Writing<'a> {
+    scene: &'a Scene<'a>,
+    agents: Vec<ExportedAgent>,
+    folders: Vec<String>,
+    ids: Ids,
+    /// The next number of each agent that is free.
+    next: Vec<u64>,
+    frames: BTreeSet<u64>,
+    /// By how much a stamp differs from its frame's at most.
+    apart: Nanos,
+    /// What velocities have aside, m/s, at most.
+    aside: f64,
+}
+
+impl<'a> Writing<'a> {
+    fn new(scene: &'a Scene, folders: Vec<String>) -> Self {
+        let agent = |(agent, folder): (&SceneAgent, &String)| ExportedAgent {
+            name: agent.name.clone(),
+            place: format!("folder `{folder}`"),
+            height_m: agent.height,
+            ..ExportedAgent::default()
+        };
+        Writing {
+            agents: scene.agents.iter().zip(&folders).map(agent).collect(),
+            next: vec![0; folders.len()],
+            ids: Ids::new(&scene.tracks, &folders),
+            folders,
+            scene,
+            frames: BTreeSet::new(),
+            apart: 0,
+            aside: 0.0,
+        }
+    }
+
+    fn sweep(&mut self, folder: &mut Folder, sweep: &Sweep) -> Result<(), ExportError> {
+        let Writing { scene, .. } = self;
+        let agent = &scene.agents[sweep.agent];
+        let number = scene.frame_of(sweep.stamp).max(self.next[sweep.agent]);
+        self.next[sweep.agent] = number + 1;
+        self.frames.insert(number);
+        let of_frame = scene.first.saturating_add(scene.period.saturating_mul(number as Nanos));
+        self.apart = self.apart.max((sweep.stamp - of_frame).abs());
+        let ids = self.ids.of(number, sweep);
+        let file = |end: &str| format!("{}/{number:06}.{end}", self.folders[sweep.agent]);
+        folder.write(&file("yaml"), yaml(agent, sweep, &ids).as_bytes())?;
+        folder.write(
+            &file("pcd"),
+            &pcd(&agent.in_lidar(&sweep.cloud), &sweep.cloud.intensity),
+        )?;
+        let speeds = sweep.boxes.iter().filter_map(speed);
+        self.aside = speeds.fold(self.aside, |most, (_, aside)| most.max(aside));
+        let summary = &mut self.agents[sweep.agent];
+        summary.sweeps += 1;
+        summary.points += sweep.cloud.len();
+        summary.boxes += sweep.boxes.len();
+        Ok(())
+    }
+
+    fn need_any(&self) -> Result<(), ExportError> {
+        match self.frames.is_empty() {
+            false => Ok(()),
+            true => Err(ExportError::unfit(
+                self.scene.log.path(),
+                "expected sweeps with points, a pose and boxes at one stamp, found none; see `realo info`",
+            )),
+        }
+    }
+
+    fn exported(self) -> Exported {
+        let Writing { scene, .. } = self;
+        let rate = 1e9 / scene.period as f64;
+        let mut assumed = lost::assumed_heights(scene);
+        assumed.push(format!(
+            "a frame is {:.4} s, which is what the sweeps of the log are apart",
+            1.0 / rate
+        ));
+        let names: BTreeMap<&str, &str> = scene
+            .agents
+            .iter()
+            .zip(&self.folders)
+            .map(|(agent, folder)| (agent.name.as_str(), folder.as_str()))
+            .collect();
+        let names: Vec<String> = names
+            .iter()
+            .map(|(name, folder)| format!("{name} is `{folder}`"))
+            .collect();
+        let mut lines = vec![
+            format!("names of agents: {}", names.join(", ")),
+            format!(
+                "stamps: frame 0 is at {} ns, and sweeps are up to {:.3} ms from their frames; read back, frame 0 is at the date in \
+                 the scene's name",
+                scene.first,
+                self.apart as f64 / 1e6
+            ),
+            "outlines of vehicles and words about sensors".into(),
+        ];
+        if self.aside > 0.0 {
+            lines.push(format!("velocities beside the heading, up to {:.2} m/s", self.aside));
+        }
+        if self.ids.without_track > 0 {
+            let count = self.ids.without_track;
+            lines.push(format!(
+                "that {count} boxes have no track: each has an id of its own for one frame"
+            ));
+        }
+        lines.extend(lost::of_frames(scene));
+        let mut command = "realo-lab import opv2v PATH -o LOG.mcap".to_string();
+        let vehicles = scene.agents.iter().filter(|agent| agent.kind == AgentKind::Vehicle);
+        command += &lost::footprint(vehicles).unwrap_or_default();
+        if (rate - 10.0).abs() > 0.005 {
+            command += &format!(" --rate {rate:.3}");
+        }
+        if scene.agents.iter().any(|agent| agent.tilt > 0.0) {
+            command += " --level none";
+        }
+        Exported {
+            agents: self.agents,
+            assumed,
+            lost: lines,
+            read_back: command,
+            ..Exported::default()
+        }
+    }
+}

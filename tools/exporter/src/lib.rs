@@ -1,0 +1,19 @@
+//! Writes logs in the layouts of data sets, for the tools of others.
+//!
+//! [`KINDS`] has the layouts, each behind the trait [`Exporter`]. [`export`] writes a log in one of them: a folder that appears when
+//! it is complete. What a layout cannot hold is reported with it. `realo-importer` reads each of them back.
+
+mod error;
+mod exported;
+mod folder;
+mod kinds;
+mod lost;
+mod options;
+mod places;
+mod scene;
+
+pub use error::ExportError;
+pub use exported::{Exported, ExportedAgent};
+pub use folder::{Folder, MANIFEST, check};
+pub use kinds::{Exporter, KINDS, Kind, Report, export, exporter, list};
+pub use options::{LabelSource, OPTIONS, OptionInfo, Options, option_info};

@@ -1,0 +1,8 @@
+//! Simulated logs, written in each layout, imported again, and compared message by message.
+
+mod bad_input;
+mod kitti;
+mod opv2v;
+mod reading;
+mod rosbag2;
+mod world;

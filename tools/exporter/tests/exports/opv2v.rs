@@ -1,0 +1,174 @@
+//! A scene of OPV2V: points, poses, boxes and tracks come back.
+
+use std::fs;
+
+use realo_logs::{AgentKind, Log, Stream};
+
+use crate::reading::{
+    assert_same, assert_same_boxes, assert_same_clouds, assert_same_poses, import, sweeps, try_export,
+};
+use crate::world::{AGENTS, MadeUp, START, SWEEPS, simulated};
+
+const SCENE: &str = "2026_01_01_00_00_00";
+
+#[test]
+fn a_simulated_log_comes_back_to_the_digit_of_a_float32() {
+    let dir = tempfile::tempdir().unwrap();
+    let log = simulated(dir.path());
+    let (out, back) = (dir.path().join(SCENE), dir.path().join("back.mcap"));
+    let exported = try_export("opv2v", &log, &out, &[], false).unwrap();
+    assert!(exported.left_out.is_empty(), "{exported}");
+    import(&exported, &back);
+    let (log, back) = (Log::open(&log).unwrap(), Log::open(&back).unwrap());
+    assert_eq!(back.info().agents.len(), AGENTS.len());
+    for (index, name) in AGENTS.into_iter().enumerate() {
+        let (before, after) = (log.info().agent(name).unwrap(), &back.info().agents[index]);
+        assert_eq!(before.kind, after.kind);
+        let height = before.sensor_position.unwrap()[2];
+        assert_same(height, after.sensor_position.unwrap()[2], "height");
+        let (before, after) = (sweeps(&log, name), sweeps(&back, &after.name));
+        assert_eq!((before.len(), after.len()), (SWEEPS, SWEEPS));
+        for (frame, (before, after)) in before.iter().zip(&after).enumerate() {
+            assert_eq!(after.stamp, START + frame as i64 * 100_000_000);
+            assert_same_poses(&before.map_from_body, &after.map_from_body);
+            assert_same_clouds(&before.cloud, &after.cloud, height);
+            assert_same_boxes(&before.truth, &after.truth);
+            for (before, after) in before.truth.iter().zip(&after.truth) {
+                assert_eq!(before.track, after.track);
+                let along = |object: &realo_schemas::Box3| {
+                    let [x, y, _] = object.velocity.unwrap();
+                    x * object.yaw.cos() + y * object.yaw.sin()
+                };
+                assert_same(along(before), along(after), "speed");
+            }
+        }
+    }
+    let said = exported.to_string();
+    for line in [
+        "which frames are scored",
+        "recorded detections",
+        "poses that agents believed",
+        "times and rings of points",
+        "names of agents: cav1 is `",
+        "rsu1 is `-1`",
+        "stamps: frame 0 is at ",
+    ] {
+        assert!(said.contains(line), "{line} is not in\n{said}");
+    }
+    let agents: Vec<AgentKind> = back.info().agents.iter().map(|agent| agent.kind).collect();
+    assert_eq!(agents, [AgentKind::Vehicle, AgentKind::Vehicle, AgentKind::Roadside]);
+}
+
+#[test]
+fn vehicles_have_the_tracks_that_others_know_them_by() {
+    let dir = tempfile::tempdir().unwrap();
+    let log = simulated(dir.path());
+    let out = dir.path().join(SCENE);
+    let exported = try_export("opv2v", &log, &out, &[], false).unwrap();
+    let of_cav2 = exported.agents[1]
+        .place
+        .trim_start_matches("folder `")
+        .trim_end_matches('`');
+    let labels = fs::read_to_string(out.join("-1/000000.yaml")).unwrap();
+    assert!(
+        labels.contains(&format!("\n  {of_cav2}:\n")),
+        "{of_cav2} is not in\n{labels}"
+    );
+    assert!(labels.contains("RSU: true"), "{labels}");
+    let own = fs::read_to_string(out.join(of_cav2).join("000000.yaml")).unwrap();
+    assert!(
+        !own.contains(&format!("\n  {of_cav2}:\n")),
+        "a vehicle is not among its own objects"
+    );
+}
+
+#[test]
+fn agents_and_classes_can_be_chosen() {
+    let dir = tempfile::tempdir().unwrap();
+    let log = simulated(dir.path());
+    let out = dir.path().join(SCENE);
+    let exported = try_export(
+        "opv2v",
+        &log,
+        &out,
+        &[("agents", "rsu1,cav2"), ("classes", "car")],
+        false,
+    )
+    .unwrap();
+    let names: Vec<&str> = exported.agents.iter().map(|agent| agent.name.as_str()).collect();
+    assert_eq!(names, ["cav2", "rsu1"]);
+    let labels = fs::read_to_string(out.join("-1/000000.yaml")).unwrap();
+    let classes = labels.lines().filter(|line| line.contains("obj_type"));
+    assert!(
+        classes.clone().count() > 0 && classes.clone().all(|line| line.ends_with("\"Car\"")),
+        "{labels}"
+    );
+}
+
+#[test]
+fn a_tilted_log_without_a_height_comes_back_as_the_export_says() {
+    let dir = tempfile::tempdir().unwrap();
+    let log = MadeUp {
+        tilt_rad: 0.05,
+        ..MadeUp::default()
+    }
+    .write(dir.path());
+    let (out, back) = (dir.path().join(SCENE), dir.path().join("back.mcap"));
+    let exported = try_export("opv2v", &log, &out, &[], false).unwrap();
+    assert!(exported.read_back.ends_with("--level none"), "{exported}");
+    let said = exported.to_string();
+    for line in [
+        "the LiDAR of car is 1.8 m over the ground, for the log does not say it (--height)",
+        "2 boxes have no track",
+    ] {
+        assert!(said.contains(line), "{line} is not in\n{said}");
+    }
+    import(&exported, &back);
+    let (log, back) = (Log::open(&log).unwrap(), Log::open(&back).unwrap());
+    let (before, after) = (sweeps(&log, "car"), sweeps(&back, &back.info().agents[0].name));
+    for (before, after) in before.iter().zip(&after) {
+        assert_same_poses(&before.map_from_body, &after.map_from_body);
+        assert_same_clouds(&before.cloud, &after.cloud, 1.8);
+        assert_same_boxes(&before.truth, &after.truth);
+    }
+}
+
+#[test]
+fn an_imported_scene_comes_back_whole_by_its_own_labels() {
+    let dir = tempfile::tempdir().unwrap();
+    let at = |name: &str| dir.path().join(name);
+    let first = try_export(
+        "opv2v",
+        &simulated(dir.path()),
+        &at(SCENE),
+        &[("agents", "cav1,rsu1")],
+        false,
+    )
+    .unwrap();
+    import(&first, &at("first.mcap"));
+    let scene = dir.path().join("again").join(SCENE);
+    let again = try_export("opv2v", &at("first.mcap"), &scene, &[("labels", "own")], false).unwrap();
+    import(&again, &at("again.mcap"));
+    let (before, after) = (
+        Log::open(at("first.mcap")).unwrap(),
+        Log::open(at("again.mcap")).unwrap(),
+    );
+    let names = |log: &Log| {
+        log.info()
+            .agents
+            .iter()
+            .map(|agent| agent.name.clone())
+            .collect::<Vec<_>>()
+    };
+    assert_eq!(names(&before), names(&after));
+    for agent in &before.info().agents {
+        let messages = |log: &Log| Stream::ALL.map(|stream| log.count(&agent.name, stream));
+        assert_eq!(messages(&before), messages(&after));
+        for (before, after) in sweeps(&before, &agent.name).iter().zip(&sweeps(&after, &agent.name)) {
+            assert_eq!(before.stamp, after.stamp);
+            assert_same_poses(&before.map_from_body, &after.map_from_body);
+            assert_same_clouds(&before.cloud, &after.cloud, agent.sensor_position.unwrap()[2]);
+            assert_same_boxes(&before.truth, &after.truth);
+        }
+    }
+}

@@ -1,0 +1,71 @@
+//! `realo-lab export`: our logs in the layouts of others.
+
+mod kind;
+
+use clap::Subcommand;
+use eyre::Result;
+use realo_cli::{Outcome, Progress, report_left_out, unfinished};
+use realo_exporter::{Options, check, export};
+use realo_logs::Log;
+
+use self::kind::KindArgs;
+
+/// Writes a log in the layout of a data set
+///
+/// The folder appears when it is complete. What the layout cannot hold is listed at the end, with the command that reads it back.
+#[derive(clap::Args)]
+#[command(arg_required_else_help = true, args_conflicts_with_subcommands = true)]
+pub struct Args {
+    /// Name the layouts with what of each is written
+    #[arg(long)]
+    list: bool,
+    #[command(subcommand)]
+    layout: Option<Layout>,
+}
+
+#[derive(Subcommand)]
+enum Layout {
+    #[command(flatten)]
+    Kind(KindArgs),
+}
+
+/// Writes the folder and says what was written and what was not.
+pub fn main(args: &Args) -> Result<Outcome> {
+    if args.list {
+        println!("{}", realo_exporter::list());
+        return Ok(Outcome::Complete);
+    }
+    match &args.layout {
+        None => Ok(Outcome::Complete),
+        Some(Layout::Kind(args)) => write(args, &args.options()?),
+    }
+}
+
+fn write(args: &KindArgs, options: &Options) -> Result<Outcome> {
+    check(&args.output, args.force)?;
+    let log = &Log::open(&args.log)?;
+    report_left_out(log);
+    unfinished::end_with_signals(&args.output);
+    let progress = Progress::new("exporting", "sweeps", Some(0.0));
+    let exported = export(
+        args.exporter,
+        log,
+        &args.output,
+        options,
+        args.force,
+        &mut |done, all| match done {
+            0 => progress.begin(0.0, all as f64),
+            done => progress.set(done as f64),
+        },
+    );
+    progress.finish();
+    let exported = exported?;
+    unfinished::done(&args.output);
+    let mut outcome = Outcome::Complete;
+    if let Some(cut) = log.truncation() {
+        eprintln!("realo-lab: {}: {cut}", log.path().display());
+        outcome = Outcome::Partial;
+    }
+    println!("{exported}");
+    Ok(outcome)
+}
