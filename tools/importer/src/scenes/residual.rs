@@ -44,7 +44,8 @@ impl fmt::Display for Residual {
             true => Ok(()),
             false => write!(
                 f,
-                "; expected below {FITS} m where both see the same: look at a picture of it, and at poses, frames, clocks and hands"
+                "; expected below {FITS} m where both see the same: look at a picture of it, and try --handed and --pose-key, or of bags \
+                 poses, frames and clocks of the map file"
             ),
         }
     }

@@ -257,7 +257,7 @@ fn points_and_poses_of_different_hands_do_not_overlap() {
     let summary = made.import(&[]).unwrap();
     let residual = &summary.residuals[0];
     assert!(residual.metres.is_none_or(|metres| metres > 0.5), "{residual}");
-    assert!(summary.to_string().contains("clocks and hands"), "{summary}");
+    assert!(summary.to_string().contains("try --handed"), "{summary}");
 }
 
 #[test]
