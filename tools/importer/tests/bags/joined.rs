@@ -16,7 +16,7 @@ const OTHER: Names = Names {
 /// Messages of a third station that both recorded.
 fn heard(late: Nanos) -> impl Iterator<Item = Recorded> {
     (0..8u32).map(move |k| {
-        let time = T0 + i64::from(k) * 90 * MS + (i64::from(k) % 3) * MS - late;
+        let time = T0 + i64::from(k) * 300 * MS + (i64::from(k) % 3) * MS - late;
         recorded("/v2x/cam", "etsi_msgs/CAM", time, move |out| out.u32(1000 + k))
     })
 }
