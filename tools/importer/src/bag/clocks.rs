@@ -175,7 +175,15 @@ fn of_bags(
     let is_back = given(import, 0).is_none() && references[0].is_none() && composed[0].is_some();
     for (bag, offset) in composed.iter().enumerate() {
         let shown = path(bag).display();
-        let Some(offset) = offset.map(to_millis) else { continue };
+        let Some(offset) = offset.map(to_millis) else {
+            if references.iter().any(Option::is_some) && given(import, bag).is_none() {
+                words.push(format!(
+                    "clock of `{shown}`: nothing says how far it is from the reference, so its stamps are taken as they are (`offset` in \
+                     the map file)"
+                ));
+            }
+            continue;
+        };
         if let Some(found) = &references[bag] {
             words.push(format!(
                 "clock of `{shown}`: {offset:+.3} ms by {} time references ({}), which say how far its reference is ahead",
