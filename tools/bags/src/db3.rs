@@ -10,6 +10,9 @@ use crate::source::{believed, plain_kind};
 use crate::sqlite::{Column, Database, Place, Table};
 use crate::{Bag, BagError, Connection, Encoding, Message, Messages};
 
+/// Names of topics, types and serialisations are no longer, bytes.
+const LONGEST_NAME: usize = 4096;
+
 /// An open SQLite file of a bag.
 pub(crate) struct Db3 {
     path: PathBuf,
@@ -45,15 +48,26 @@ impl Db3 {
         for place in rows {
             let row = database.read(place)?;
             let text = |column: usize| match row.get(topics.columns[column]) {
-                Some(Column::Text(text)) => text.clone(),
-                _ => String::new(),
+                Some(Column::Text(text)) if text.len() > LONGEST_NAME => Err(BagError::content(
+                    path,
+                    format!(
+                        "expected names of at most {LONGEST_NAME} bytes in `topics`, found one of {}; fetch it anew",
+                        text.len()
+                    ),
+                )),
+                Some(Column::Text(text)) => Ok(text.clone()),
+                _ => Ok(String::new()),
             };
             if let Some(Column::Integer(id)) = row.get(topics.columns[0]) {
-                known.insert(*id, connections.len());
+                if known.insert(*id, connections.len()).is_some() {
+                    let reason =
+                        format!("expected topics of different `id`, found {id} twice in `topics`; fetch it anew");
+                    return Err(BagError::content(path, reason));
+                }
                 connections.push(Connection {
-                    topic: text(1),
-                    kind: plain_kind(&text(2)),
-                    encoding: Encoding::named(&text(3)),
+                    topic: text(1)?,
+                    kind: plain_kind(&text(2)?),
+                    encoding: Encoding::named(&text(3)?),
                     messages: 0,
                 });
             }

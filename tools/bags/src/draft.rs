@@ -2,13 +2,13 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::fmt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
 use realo_logs::AgentKind;
 
 use crate::map_file::{AgentMap, Height, MapFile, PoseSource, StampClock, quoted};
 use crate::messages::Kind;
-use crate::survey::{Survey, TopicSurvey};
+use crate::survey::{Survey, TopicSurvey, printable};
 
 /// A map file with why it says what it says.
 pub struct Draft {
@@ -45,7 +45,7 @@ impl Draft {
                 true => String::new(),
                 false => format!(
                     "; topics of packets ({}) are not read: play them through the sensor's driver and record its clouds",
-                    kinds.into_iter().collect::<Vec<_>>().join(", ")
+                    printable(&kinds.into_iter().collect::<Vec<_>>().join(", "))
                 ),
             };
             return Err(format!(
@@ -64,8 +64,9 @@ impl Draft {
             world: String::new(),
         };
         let spaces: BTreeSet<String> = groups.iter().map(|group| group.space.clone()).collect();
+        let bags: Vec<&Path> = surveys.iter().map(|survey| survey.path.as_path()).collect();
         for group in &groups {
-            draft.agent(group, &spaces, surveys.len() > 1, groups.len());
+            draft.agent(group, &spaces, &bags, groups.len());
         }
         if draft.map.world.is_empty() {
             draft.map.world = "map".into();
@@ -74,7 +75,8 @@ impl Draft {
         Ok(draft)
     }
 
-    fn agent(&mut self, group: &Group, spaces: &BTreeSet<String>, several: bool, groups: usize) {
+    fn agent(&mut self, group: &Group, spaces: &BTreeSet<String>, bags: &[&Path], groups: usize) {
+        let several = bags.len() > 1;
         let Group {
             survey,
             space,
@@ -183,7 +185,7 @@ impl Draft {
             } else {
                 AgentKind::Vehicle
             },
-            bag: several.then(|| Path::new(survey.path.file_name().unwrap_or(survey.path.as_os_str())).into()),
+            bag: several.then(|| shortest(bags, &survey.path)),
             clouds: vec![main.topic.clone()],
             frame: base.clone(),
             height: Height::Ground,
@@ -197,6 +199,16 @@ impl Draft {
         };
         self.map.agents.insert(name, agent);
     }
+}
+
+/// The last parts of the path of a bag that no other of the bags ends with; the whole path where there are none.
+pub fn shortest(bags: &[&Path], path: &Path) -> PathBuf {
+    let parts: Vec<_> = path.components().collect();
+    let ends = (0..parts.len())
+        .rev()
+        .map(|first| parts[first..].iter().collect::<PathBuf>());
+    let mut ends = ends.filter(|end| bags.iter().filter(|bag| bag.ends_with(end)).count() == 1);
+    ends.next().unwrap_or_else(|| path.into())
 }
 
 /// The first part of a topic that has several.
@@ -259,13 +271,13 @@ impl fmt::Display for Draft {
             f,
             "# A draft: look at every line. docs/reference/importers.md has the fields."
         )?;
-        writeln!(f, "world: {}  # {}", quoted(world), self.world)?;
+        writeln!(f, "world: {}  # {}", quoted(world), printable(&self.world))?;
         writeln!(f, "clock: {}  # or `log`: when messages were recorded", clock.as_str())?;
         writeln!(f, "agents:")?;
         for (name, agent) in agents {
             let line = |f: &mut fmt::Formatter, field: &'static str, value: &str| {
                 let why = self.why.get(&(name.clone(), field));
-                let why = why.map_or(String::new(), |why| format!("  # {}", why.replace(['\n', '\r'], " ")));
+                let why = why.map_or(String::new(), |why| format!("  # {}", printable(why)));
                 writeln!(f, "    {field}: {value}{why}")
             };
             writeln!(f, "  {}:", quoted(name))?;
@@ -298,5 +310,24 @@ impl fmt::Display for Draft {
             }
         }
         Ok(())
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn the_shortest_path_that_is_unique_names_a_bag() {
+        let bags = ["/x/a/one.bag", "/x/b/one.bag", "two.bag", "c/two.bag"].map(Path::new);
+        for (path, expected) in [
+            ("/x/a/one.bag", "a/one.bag"),
+            ("/x/b/one.bag", "b/one.bag"),
+            ("two.bag", "two.bag"),
+            ("c/two.bag", "c/two.bag"),
+        ] {
+            assert_eq!(shortest(&bags, Path::new(path)), Path::new(expected));
+        }
+        assert_eq!(shortest(&bags[..1], bags[0]), Path::new("one.bag"));
     }
 }

@@ -21,8 +21,8 @@ mod source;
 mod sqlite;
 mod survey;
 
-pub use draft::Draft;
+pub use draft::{Draft, shortest};
 pub use error::BagError;
 pub use open::{open, recognise};
 pub use source::{Bag, Connection, Encoding, Message, Messages};
-pub use survey::{Survey, TopicSurvey, is_static, survey};
+pub use survey::{Survey, TopicSurvey, is_static, printable, survey};

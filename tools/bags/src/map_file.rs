@@ -10,6 +10,7 @@ use realo_logs::pose::isometry;
 use serde::{Deserialize, Deserializer};
 
 use crate::BagError;
+use crate::survey::is_shown;
 
 /// Which time of a message counts.
 #[derive(Clone, Copy, Debug, Default, PartialEq, Eq, Deserialize)]
@@ -285,10 +286,18 @@ pub(crate) fn quoted(text: &str) -> String {
     let is_word = text.starts_with(|first: char| first.is_ascii_alphabetic() || first == '/')
         && text.chars().all(is_plain)
         && !["true", "false", "null", "yes", "no", "on", "off", "y", "n"].contains(&text.to_ascii_lowercase().as_str());
-    match is_word {
-        true => text.into(),
-        false => format!("'{}'", text.replace('\'', "''").replace(['\n', '\r'], " ")),
+    if is_word {
+        return text.into();
     }
+    if text.chars().all(is_shown) {
+        return format!("'{}'", text.replace('\'', "''"));
+    }
+    let escaped = |letter: char| match letter {
+        '"' | '\\' => format!("\\{letter}"),
+        letter if is_shown(letter) => letter.to_string(),
+        letter => format!("\\U{:08x}", u32::from(letter)),
+    };
+    format!("\"{}\"", text.chars().map(escaped).collect::<String>())
 }
 
 #[cfg(test)]
@@ -335,6 +344,24 @@ mod tests {
             assert!(error.contains(expected), "{error}");
         }
         assert!(MapFile::parse("agents: {}").unwrap_err().contains("found none"));
+    }
+
+    #[test]
+    fn any_name_is_one_line_of_yaml() {
+        for name in [
+            "/a\u{1b}[2J",
+            "a\nb: c",
+            "it's \"\\\u{85}",
+            "\u{202e}x\t",
+            "it's",
+            "a \"b\" \\",
+            "no",
+        ] {
+            let text = quoted(name);
+            assert!(text.chars().all(is_shown), "{text:?}");
+            let map = MapFile::parse(&SHORT.replace("/points", &text)).unwrap();
+            assert_eq!(map.agents["car"].clouds, [name]);
+        }
     }
 
     #[test]

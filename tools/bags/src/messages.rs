@@ -219,11 +219,12 @@ pub fn attitude(input: &mut CdrReader) -> Result<Attitude, CdrError> {
     })
 }
 
-/// Reads a `TimeReference`: a time of the sender's clock, and the same of the reference, ns.
+/// Reads a `TimeReference`: a time of the sender's clock, the same of the reference (ns), and the name of the reference.
 ///
 /// # Errors
 /// Bytes that are no such message.
-pub fn time_reference(input: &mut CdrReader) -> Result<[Nanos; 2], CdrError> {
+pub fn time_reference(input: &mut CdrReader) -> Result<([Nanos; 2], String), CdrError> {
     let (stamp, _) = input.header()?;
-    Ok([stamp, input.time()?])
+    let reference = input.time()?;
+    Ok(([stamp, reference], input.string()?.to_string()))
 }

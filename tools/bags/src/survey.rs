@@ -178,6 +178,20 @@ pub fn is_static(topic: &str) -> bool {
     topic.rsplit('/').next() == Some("tf_static")
 }
 
+/// A text without letters that a terminal does not show as they are: those are escaped.
+pub fn printable(text: &str) -> String {
+    let shown = |letter: char| match is_shown(letter) {
+        true => letter.to_string(),
+        false => letter.escape_debug().to_string(),
+    };
+    text.chars().map(shown).collect()
+}
+
+/// Whether a letter is shown as it is.
+pub(crate) fn is_shown(letter: char) -> bool {
+    "'\"\\".contains(letter) || letter.escape_debug().count() == 1
+}
+
 impl Survey {
     /// Topics of a type.
     pub fn of_kind(&self, kind: Kind) -> impl Iterator<Item = &TopicSurvey> {
@@ -219,7 +233,7 @@ impl fmt::Display for Survey {
         write!(
             f,
             "{}: {}, {messages} messages on {} topics",
-            self.path.display(),
+            printable(&self.path.display().to_string()),
             self.format,
             self.topics.len()
         )?;
@@ -232,7 +246,7 @@ impl fmt::Display for Survey {
             )?;
         }
         for note in &self.notes {
-            write!(f, "\n  note: {note}")?;
+            write!(f, "\n  note: {}", printable(note))?;
         }
         let mut kind = None;
         for topic in &self.topics {
@@ -251,7 +265,10 @@ impl fmt::Display for Survey {
             .frames
             .parents()
             .take(40)
-            .map(|(child, parent, fixed)| format!("{parent} {} {child}", if fixed { "=" } else { "->" }))
+            .map(|(child, parent, fixed)| {
+                let arrow = if fixed { "=" } else { "->" };
+                format!("{} {arrow} {}", parent.escape_debug(), child.escape_debug())
+            })
             .collect();
         match edges.is_empty() {
             true => Ok(()),
@@ -269,7 +286,10 @@ impl fmt::Display for TopicSurvey {
         if let Some(rate) = self.rate_hz {
             write!(f, ", {rate:.1} Hz")?;
         }
-        let list = |names: &BTreeSet<String>| names.iter().map(String::as_str).collect::<Vec<_>>().join(" ");
+        let list = |names: &BTreeSet<String>| {
+            let names = names.iter().map(|name| name.escape_debug().to_string());
+            names.collect::<Vec<_>>().join(" ")
+        };
         if !self.frames.is_empty() {
             write!(f, ", frame {}", list(&self.frames))?;
         }
@@ -285,11 +305,31 @@ impl fmt::Display for TopicSurvey {
             )?;
         }
         if self.points > 0 {
-            write!(f, ", {} points: {}", self.points, self.fields)?;
+            write!(f, ", {} points: {}", self.points, printable(&self.fields))?;
         }
         match &self.problem {
-            Some(problem) => write!(f, "; CANNOT BE READ: {problem}"),
+            Some(problem) => write!(f, "; CANNOT BE READ: {}", printable(problem)),
             None => Ok(()),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn names_do_not_reach_the_terminal_raw() {
+        let survey = TopicSurvey {
+            topic: "/a\u{1b}[2J".into(),
+            frames: BTreeSet::from(["map\u{7}".into()]),
+            fields: "x\u{9b} f32".into(),
+            points: 1,
+            problem: Some("no \u{1b}c, but `Höhe`".into()),
+            ..TopicSurvey::default()
+        };
+        let said = survey.to_string();
+        assert!(!said.contains(char::is_control), "{said:?}");
+        assert!(said.contains("/a\\u{1b}[2J") && said.contains("`Höhe`"), "{said:?}");
     }
 }

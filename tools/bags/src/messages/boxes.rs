@@ -11,7 +11,7 @@ use realo_schemas::Nanos;
 pub struct Object {
     /// The frame of its pose.
     pub frame: String,
-    /// What it is, as the bag names it.
+    /// What it is most likely, as the bag names it.
     pub class: String,
     /// Its identity over time; empty where nobody knows.
     pub track: String,
@@ -115,7 +115,7 @@ fn detection(input: &mut CdrReader, array_frame: &str, form: DetectionForm) -> R
         };
         let certain = input.f64()?;
         input.f64s::<43>()?;
-        if place == 0 {
+        if place == 0 || score.is_nan() || certain > score {
             (class, score) = (name, certain);
         }
     }
@@ -172,7 +172,8 @@ struct MarkerForm {
     has_mesh_file: bool,
 }
 
-/// Reads the cubes of a `MarkerArray`; others are no objects. The class is the marker's text, else its namespace.
+/// Reads the cubes of a `MarkerArray`; others are no objects. The class is the marker's text, else its namespace. The track is its
+/// namespace and `id`, which only together name a marker.
 ///
 /// # Errors
 /// Bytes that no known form explains; numbers that are no pose.
@@ -240,7 +241,10 @@ fn marker(input: &mut CdrReader, form: MarkerForm) -> Result<(Nanos, Option<Obje
     let object = Object {
         frame: frame.into(),
         class: if text.is_empty() { namespace } else { text }.into(),
-        track: id.to_string(),
+        track: match namespace {
+            "" => id.to_string(),
+            _ => format!("{namespace}/{id}"),
+        },
         score: 1.0,
         frame_from_object: isometry(&pose)?,
         size,
@@ -279,15 +283,19 @@ mod tests {
         assert_eq!((found.stamp, found.objects.len()), (42, 1), "what deletes is no object");
         assert_eq!(
             (found.objects[0].class.as_str(), found.objects[0].track.as_str()),
-            ("car", "0")
+            ("car", "truth/0")
         );
+        let mut other = Vec::new();
+        encode_markers(&mut other, 42, "map", "", &[car()]);
+        let other = markers(|| CdrReader::any_cdr(&other)).unwrap();
+        assert_eq!(other.objects[0].track, "0", "another marker than that of `truth`");
         for cut in 0..payload.len() - 4 {
             assert!(markers(|| CdrReader::any_cdr(&payload[..cut])).is_err(), "{cut}");
         }
     }
 
     /// A `Detection3DArray` of ROS 1: numbers as classes, a cloud behind the box.
-    fn of_ros1(tracking: bool) -> Vec<u8> {
+    fn of_ros1(hypotheses: &[(i64, f64)], tracking: bool) -> Vec<u8> {
         let text = |text: &str| [&(text.len() as u32).to_le_bytes()[..], text.as_bytes()].concat();
         let header = |stamp: u32| [&[0; 4][..], &stamp.to_le_bytes(), &[0; 4], &text("map")].concat();
         let doubles = |numbers: &[f64]| numbers.iter().flat_map(|v| v.to_le_bytes()).collect::<Vec<u8>>();
@@ -296,13 +304,15 @@ mod tests {
             header(5),
             1u32.to_le_bytes().into(),
             header(5),
-            1u32.to_le_bytes().into(),
+            (hypotheses.len() as u32).to_le_bytes().into(),
         ]
         .concat();
-        bytes.extend(3i64.to_le_bytes());
-        bytes.extend(doubles(&[0.5]));
-        bytes.extend(doubles(&identity));
-        bytes.extend(doubles(&[0.0; 36]));
+        for (class, score) in hypotheses {
+            bytes.extend(class.to_le_bytes());
+            bytes.extend(doubles(&[*score]));
+            bytes.extend(doubles(&identity));
+            bytes.extend(doubles(&[0.0; 36]));
+        }
         bytes.extend(doubles(&[1.0, 2.0, 3.0, 0.0, 0.0, 0.0, 1.0]));
         bytes.extend(doubles(&[4.0, 2.0, 1.5]));
         bytes.extend(header(5));
@@ -315,9 +325,22 @@ mod tests {
     }
 
     #[test]
+    fn the_hypothesis_of_the_max_score_is_taken() {
+        for hypotheses in [
+            &[(1, 0.2), (3, 0.7), (2, 0.1)][..],
+            &[(1, f64::NAN), (3, 0.7)],
+            &[(3, 0.7), (1, 0.7)],
+        ] {
+            let bytes = of_ros1(hypotheses, true);
+            let object = &detections(|| Ok(CdrReader::ros1(&bytes))).unwrap().objects[0];
+            assert_eq!((object.class.as_str(), object.score), ("3", 0.7), "{hypotheses:?}");
+        }
+    }
+
+    #[test]
     fn the_form_that_ends_with_the_message_is_taken() {
         for (tracking, track) in [(false, ""), (true, "a7")] {
-            let bytes = of_ros1(tracking);
+            let bytes = of_ros1(&[(3, 0.5)], tracking);
             let found = detections(|| Ok(CdrReader::ros1(&bytes))).unwrap();
             let object = &found.objects[0];
             assert_eq!(

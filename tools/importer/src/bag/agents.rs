@@ -1,8 +1,10 @@
 //! The agents of the map file, with their topics found in the bags.
 
+use std::path::{Path, PathBuf};
+
 use realo_bags::map_file::{AgentMap, MapFile, PoseSource};
 use realo_bags::messages::Kind;
-use realo_bags::{Bag, Encoding};
+use realo_bags::{Bag, Encoding, shortest};
 
 /// An agent with its topics.
 pub struct Agent {
@@ -112,12 +114,7 @@ fn one(bags: &[Box<dyn Bag>], name: &str, map: &AgentMap) -> Result<Agent, Strin
 }
 
 fn bag_of(bags: &[Box<dyn Bag>], map: &AgentMap) -> Result<usize, String> {
-    let has = || {
-        bags.iter()
-            .map(|bag| format!("`{}`", bag.path().display()))
-            .collect::<Vec<_>>()
-            .join(", ")
-    };
+    let has = || listed(bags.iter().map(|bag| bag.path()));
     match (&map.bag, bags) {
         (None, [_]) => Ok(0),
         (None, _) => {
@@ -134,14 +131,43 @@ fn bag_of(bags: &[Box<dyn Bag>], map: &AgentMap) -> Result<usize, String> {
             }
         }
         (Some(wanted), _) => {
-            let is = |bag: &dyn Bag| {
-                let path = bag.path();
-                path == wanted || path.file_name() == wanted.file_name() || path.file_stem() == Some(wanted.as_os_str())
-            };
-            let exact = bags.iter().position(|bag| bag.path() == wanted);
-            exact
-                .or_else(|| bags.iter().position(|bag| is(bag.as_ref())))
-                .ok_or_else(|| format!("bag: expected one of {}, found `{}`", has(), wanted.display()))
+            let paths: Vec<&Path> = bags.iter().map(|bag| bag.path()).collect();
+            named(&paths, wanted)
+        }
+    }
+}
+
+fn listed<'a>(paths: impl Iterator<Item = &'a Path>) -> String {
+    let paths: Vec<String> = paths.map(|path| format!("`{}`", path.display())).collect();
+    paths.join(", ")
+}
+
+/// The only bag that a path names: it is the bag's, or its end, or else the bag's name with or without its ending.
+fn named(bags: &[&Path], wanted: &Path) -> Result<usize, String> {
+    if let Some(exact) = bags.iter().position(|bag| *bag == wanted) {
+        return Ok(exact);
+    }
+    let all = |is: &dyn Fn(&Path) -> bool| (0..bags.len()).filter(|bag| is(bags[*bag])).collect::<Vec<usize>>();
+    let mut fitting = all(&|bag: &Path| bag.ends_with(wanted));
+    if fitting.is_empty() {
+        fitting =
+            all(&|bag: &Path| bag.file_name() == wanted.file_name() || bag.file_stem() == Some(wanted.as_os_str()));
+    }
+    match fitting[..] {
+        [only] => Ok(only),
+        [] => Err(format!(
+            "bag: expected one of {}, found `{}`",
+            listed(bags.iter().copied()),
+            wanted.display()
+        )),
+        _ => {
+            let unique: Vec<PathBuf> = fitting.iter().map(|bag| shortest(bags, bags[*bag])).collect();
+            Err(format!(
+                "bag: `{}` fits {}; write one of {}",
+                wanted.display(),
+                listed(fitting.iter().map(|bag| bags[*bag])),
+                listed(unique.iter().map(PathBuf::as_path))
+            ))
         }
     }
 }
@@ -191,4 +217,30 @@ fn topic(bag: &dyn Bag, field: &str, wanted: &str, what: &str, fits: impl Fn(Kin
         "{field}: expected {what}, found `{wanted}` of type {}",
         types.join(" and ")
     ))
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_name_that_fits_several_bags_is_refused() {
+        let bags = ["/x/a/one.bag", "/x/b/one.bag", "/x/two.bag", "/x/two"].map(Path::new);
+        for (wanted, expected) in [
+            ("/x/a/one.bag", 0),
+            ("b/one.bag", 1),
+            ("two.bag", 2),
+            ("two", 3),
+            ("elsewhere/two.bag", 2),
+        ] {
+            assert_eq!(named(&bags, Path::new(wanted)), Ok(expected), "{wanted}");
+        }
+        for wanted in ["one.bag", "one"] {
+            let error = named(&bags, Path::new(wanted)).unwrap_err();
+            let both = "fits `/x/a/one.bag`, `/x/b/one.bag`; write one of `a/one.bag`, `b/one.bag`";
+            assert!(error.contains(both), "{error}");
+        }
+        let error = named(&bags, Path::new("three")).unwrap_err();
+        assert!(error.contains("expected one of `/x/a/one.bag`"), "{error}");
+    }
 }

@@ -5,7 +5,7 @@ use std::path::Path;
 use realo_schemas::{Nanos, to_millis, to_seconds};
 
 use super::Import;
-use super::small::Small;
+use super::small::{References, Seen, Small};
 use crate::ImportError;
 
 /// Stamps and log times that are nearer are of one clock, ns.
@@ -14,6 +14,12 @@ const ONE_CLOCK: Nanos = 1_000_000_000;
 const LEAST_EQUAL: usize = 3;
 /// Half of the offsets of equal messages must be within this of their median, ns.
 const SPREAD: Nanos = 50_000_000;
+/// Equal messages must lie over so much log time of both bags, ns.
+const LEAST_SPAN: Nanos = 2_000_000_000;
+/// References of a bag whose offsets differ by more contradict each other, ns.
+const CONTRADICT: Nanos = 100_000_000;
+/// The first day of 2000, ns.
+const YEAR_2000: Nanos = 946_684_800_000_000_000;
 
 /// What is added to times of an agent, ns.
 #[derive(Clone, Debug, Default)]
@@ -35,12 +41,10 @@ pub struct Clocks {
 /// Finds the offsets between the clocks.
 ///
 /// # Errors
-/// Agents that have no time in common.
+/// Agents that have no time in common; time references of a bag that contradict each other.
 pub fn joined(import: &Import, small: &Small) -> Result<Clocks, ImportError> {
-    let mut words = Vec::new();
-    let by_bag: Vec<Option<Nanos>> = (0..import.bags.len())
-        .map(|bag| of_bag(import, small, bag, &mut words))
-        .collect();
+    let (mut words, mut unused) = (Vec::new(), Vec::new());
+    let by_bag = of_bags(import, small, &mut words, &mut unused)?;
     let behind: Vec<Nanos> = (0..import.agents.len()).map(|agent| behind(small, agent)).collect();
     let is_other = |agent: usize| behind[agent].abs() > ONE_CLOCK;
     let span = |agent: usize| {
@@ -110,6 +114,7 @@ pub fn joined(import: &Import, small: &Small) -> Result<Clocks, ImportError> {
             import.map.clock.as_str()
         ));
     }
+    words.extend(unused);
     Ok(Clocks { agents, words })
 }
 
@@ -125,46 +130,285 @@ fn behind(small: &Small, agent: usize) -> Nanos {
     behind.min().unwrap_or(0)
 }
 
-/// The offset of a bag's clock that its messages say.
-fn of_bag(import: &Import, small: &Small, bag: usize, words: &mut Vec<String>) -> Option<Nanos> {
-    let path = import.bags[bag].path().display();
-    let mut references = small.bags[bag].references.clone();
-    if let Some(offset) = median(&mut references) {
-        words.push(format!(
-            "clock of `{path}`: {:+.3} ms by {} time references, which say how far its reference is ahead",
-            to_millis(offset),
-            references.len()
+/// What is added to the stamps of each bag by its messages, ns; `None` where nothing says it.
+///
+/// # Errors
+/// Time references of a bag that contradict each other.
+fn of_bags(
+    import: &Import,
+    small: &Small,
+    words: &mut Vec<String>,
+    unused: &mut Vec<String>,
+) -> Result<Vec<Option<Nanos>>, ImportError> {
+    let path = |bag: usize| import.bags[bag].path();
+    let (mut references, mut joined) = (Vec::new(), Vec::new());
+    for (bag, said) in small.bags.iter().enumerate() {
+        // What the map file says of all its agents needs no messages.
+        if given(import, bag).is_some() {
+            references.push(None);
+            joined.push(None);
+            continue;
+        }
+        let mut told = Vec::new();
+        let found = by_references(&said.references, &mut told).map_err(|reason| {
+            let reason = format!("{reason}; give `offset` (s) of its agents in the map file");
+            ImportError::content(path(bag), reason)
+        })?;
+        let equal = (bag > 0).then(|| by_equal(&small.bags[0].seen, &said.seen, &mut told));
+        let shown = path(bag).display();
+        unused.extend(told.into_iter().map(|line| format!("clock of `{shown}`: {line}")));
+        references.push(found);
+        joined.push(equal.flatten());
+    }
+    let offsets = [
+        references
+            .iter()
+            .map(|found| found.as_ref().map(|found| found.offset))
+            .collect(),
+        joined
+            .iter()
+            .map(|found| found.as_ref().map(|found| found.offset))
+            .collect(),
+    ];
+    let composed = composed(given(import, 0), &offsets);
+    let first = path(0).display();
+    let is_back = given(import, 0).is_none() && references[0].is_none() && composed[0].is_some();
+    for (bag, offset) in composed.iter().enumerate() {
+        let shown = path(bag).display();
+        let Some(offset) = offset.map(to_millis) else {
+            if references.iter().any(Option::is_some) && given(import, bag).is_none() {
+                words.push(format!(
+                    "clock of `{shown}`: nothing says how far it is from the reference, so its stamps are taken as they are (`offset` in \
+                     the map file)"
+                ));
+            }
+            continue;
+        };
+        if let Some(found) = &references[bag] {
+            words.push(format!(
+                "clock of `{shown}`: {offset:+.3} ms by {} time references ({}), which say how far its reference is ahead",
+                found.count, found.name
+            ));
+        } else if bag == 0 && is_back {
+            words.push(format!(
+                "clock of `{shown}`: {offset:+.3} ms, to the time references of a bag that recorded the same messages"
+            ));
+        }
+        if let Some(found) = &joined[bag]
+            && (references[bag].is_none() || is_back)
+        {
+            words.push(format!(
+                "clock of `{shown}`: {:+.3} ms, half of them within {:.3} ms, by {} messages that it and `{first}` recorded; write \
+                 `offset: 0` if the stamps of both are GPS time",
+                to_millis(found.offset),
+                to_millis(found.spread),
+                found.count
+            ));
+            if references[bag].is_none() && to_millis(found.offset) != offset {
+                words.push(format!(
+                    "clock of `{shown}`: {offset:+.3} ms with the offset of `{first}`, so that both have one clock"
+                ));
+            }
+        }
+    }
+    Ok(composed)
+}
+
+/// The offset that the map file gives to a bag: of its first agent, where all have one, ns.
+fn given(import: &Import, bag: usize) -> Option<Nanos> {
+    let agents = import.agents.iter().filter(|agent| agent.bag == bag);
+    let offsets: Option<Vec<f64>> = agents.map(|agent| agent.map.offset).collect();
+    offsets?.first().map(|seconds| (seconds * 1e9) as Nanos)
+}
+
+/// What is added to the stamps of each bag, by their offsets to a reference and to the first bag.
+///
+/// All bags that anything joins end on one clock. That is the reference, if any of them has one, else the first bag's. `given` is the
+/// first bag's offset by the map file.
+fn composed(given: Option<Nanos>, [references, joined]: &[Vec<Option<Nanos>>; 2]) -> Vec<Option<Nanos>> {
+    let mut both = references.iter().zip(joined).skip(1);
+    let back = both.find_map(|(reference, joined)| Some((*reference)?.saturating_sub((*joined)?)));
+    let first = given.or(references.first().copied().flatten()).or(back);
+    let of_bag = |(bag, (reference, joined)): (usize, (&Option<Nanos>, &Option<Nanos>))| match bag {
+        0 => first,
+        _ => reference.or(joined.map(|joined| joined.saturating_add(first.unwrap_or(0)))),
+    };
+    references.iter().zip(joined).enumerate().map(of_bag).collect()
+}
+
+/// The clock of a reference.
+#[derive(Debug, PartialEq)]
+struct Reference {
+    offset: Nanos,
+    count: usize,
+    /// Topic and source.
+    name: String,
+}
+
+/// The plausible reference that says the most; `unused`: why others are not used.
+fn by_references(references: &References, unused: &mut Vec<String>) -> Result<Option<Reference>, String> {
+    let mut found: Option<Reference> = None;
+    for ([topic, source], times) in references {
+        let name = format!("`{}` of `{}`", topic.escape_debug(), source.escape_debug());
+        let mut offsets: Vec<Nanos> = times.iter().map(|[offset, _]| *offset).collect();
+        let Some(offset) = median(&mut offsets) else { continue };
+        // They are sorted now.
+        let change = offsets[offsets.len() - 1].saturating_sub(offsets[0]);
+        if times.iter().any(|[_, reference]| *reference < YEAR_2000) {
+            unused.push(format!(
+                "time references ({name}) are not used: expected dates after 2000"
+            ));
+            continue;
+        }
+        if change > ONE_CLOCK {
+            unused.push(format!(
+                "time references ({name}) are not used: expected one offset, found offsets that differ by {:.3} s",
+                to_seconds(change)
+            ));
+            continue;
+        }
+        if let Some(other) = &found
+            && other.offset.saturating_sub(offset).saturating_abs() > CONTRADICT
+        {
+            return Err(format!(
+                "time references contradict each other: {} say {:+.3} ms, {name} say {:+.3} ms",
+                other.name,
+                to_millis(other.offset),
+                to_millis(offset)
+            ));
+        }
+        let count = offsets.len();
+        if found.as_ref().is_none_or(|other| other.count < count) {
+            found = Some(Reference { offset, count, name });
+        }
+    }
+    Ok(found)
+}
+
+/// How the clock of a bag differs from the first bag's.
+#[derive(Debug, PartialEq)]
+struct Joined {
+    offset: Nanos,
+    spread: Nanos,
+    count: usize,
+}
+
+/// The offset by messages that both recorded; `unused`: why they are not used.
+fn by_equal(first: &Seen, seen: &Seen, unused: &mut Vec<String>) -> Option<Joined> {
+    let both = seen.iter();
+    let both = both.filter_map(|(hash, time)| Some([first.get(hash).copied()??, (*time)?]));
+    let both: Vec<[Nanos; 2]> = both.collect();
+    let mut offsets: Vec<Nanos> = both.iter().map(|[a, b]| a.saturating_sub(*b)).collect();
+    let count = offsets.len();
+    let offset = median(&mut offsets).filter(|_| count >= LEAST_EQUAL)?;
+    let off = |other: Nanos| other.saturating_sub(offset).saturating_abs();
+    let mut spread: Vec<Nanos> = offsets.iter().map(|other| off(*other)).collect();
+    let spread = median(&mut spread).filter(|spread| *spread <= SPREAD)?;
+    let near = both.iter().filter(|[a, b]| off(a.saturating_sub(*b)) <= SPREAD);
+    let near: Vec<[Nanos; 2]> = near.copied().collect();
+    let lasts = |side: usize| {
+        let times = near.iter().map(|times| times[side]);
+        let last = times.clone().max().unwrap_or(0);
+        last.saturating_sub(times.min().unwrap_or(0))
+    };
+    let lasts = lasts(0).min(lasts(1));
+    if lasts < LEAST_SPAN {
+        unused.push(format!(
+            "{count} messages that it and the first bag recorded are not used: expected them over {:.0} s, found them within {:.3} s, \
+             as of messages that a recorder writes when it starts",
+            to_seconds(LEAST_SPAN),
+            to_seconds(lasts)
         ));
-        return Some(offset);
-    }
-    if bag == 0 {
         return None;
     }
-    let first = &small.bags[0].seen;
-    let seen = small.bags[bag].seen.iter();
-    let equal = seen.filter_map(|(hash, time)| Some(first.get(hash).copied()??.saturating_sub((*time)?)));
-    let mut equal: Vec<Nanos> = equal.collect();
-    let offset = median(&mut equal).filter(|_| equal.len() >= LEAST_EQUAL)?;
-    let mut spread: Vec<Nanos> = equal
-        .iter()
-        .map(|other| other.saturating_sub(offset).saturating_abs())
-        .collect();
-    let spread = median(&mut spread)?;
-    if spread > SPREAD {
-        return None;
-    }
-    words.push(format!(
-        "clock of `{path}`: {:+.3} ms, half of them within {:.3} ms, by {} messages that it and `{}` recorded; write `offset: 0` if the \
-         stamps of both are GPS time",
-        to_millis(offset),
-        to_millis(spread),
-        equal.len(),
-        import.bags[0].path().display()
-    ));
-    Some(offset)
+    Some(Joined { offset, spread, count })
 }
 
 fn median(values: &mut [Nanos]) -> Option<Nanos> {
     values.sort_unstable();
     values.get(values.len() / 2).copied()
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    const MS: Nanos = 1_000_000;
+    const NOW: Nanos = 1_700_000_000_000_000_000;
+
+    #[test]
+    fn joined_bags_end_on_one_clock() {
+        // The first bag has references: the second follows it.
+        let offsets = [vec![Some(5), None, None], vec![None, Some(7), None]];
+        assert_eq!(composed(None, &offsets), [Some(5), Some(12), None]);
+        // Only the second has: the first and the third go to its reference.
+        let offsets = [vec![None, Some(100), None], vec![None, Some(7), Some(3)]];
+        assert_eq!(composed(None, &offsets), [Some(93), Some(100), Some(96)]);
+        // The map file says it above all.
+        let offsets = [vec![None, None], vec![None, Some(7)]];
+        assert_eq!(composed(Some(1), &offsets), [Some(1), Some(8)]);
+        assert_eq!(composed(None, &offsets), [None, Some(7)]);
+        let offsets = [vec![None, Some(100)], vec![None, None]];
+        assert_eq!(composed(None, &offsets), [None, Some(100)]);
+    }
+
+    fn references(all: &[(&str, &str, Nanos, Nanos)]) -> References {
+        let mut references = References::new();
+        for (topic, source, offset, reference) in all {
+            let of_source = references.entry([topic.to_string(), source.to_string()]);
+            of_source.or_default().push([*offset, *reference]);
+        }
+        references
+    }
+
+    #[test]
+    fn plausible_references_are_used() {
+        let mut unused = Vec::new();
+        let all = references(&[
+            ("/a", "boot", -NOW, 5),
+            ("/b", "gps", 30 * MS, NOW),
+            ("/b", "gps", 31 * MS, NOW),
+            ("/b", "ntp", 35 * MS, NOW),
+            ("/c", "drifts", 0, NOW),
+            ("/c", "drifts", 2000 * MS, NOW),
+        ]);
+        let found = by_references(&all, &mut unused).unwrap().unwrap();
+        assert_eq!(
+            (found.offset, found.count, found.name.as_str()),
+            (31 * MS, 2, "`/b` of `gps`")
+        );
+        assert_eq!(unused.len(), 2);
+        assert!(
+            unused[0].contains("after 2000") && unused[1].contains("differ by 2.000 s"),
+            "{unused:?}"
+        );
+        assert_eq!(by_references(&References::new(), &mut unused), Ok(None));
+    }
+
+    #[test]
+    fn contradicting_references_are_refused_by_name() {
+        let all = references(&[("/a", "gps", 18_000 * MS, NOW), ("/b", "utc", 0, NOW)]);
+        let error = by_references(&all, &mut Vec::new()).unwrap_err();
+        for part in [
+            "contradict",
+            "`/a` of `gps` say +18000.000 ms",
+            "`/b` of `utc` say +0.000 ms",
+        ] {
+            assert!(error.contains(part), "{error}");
+        }
+    }
+
+    #[test]
+    fn messages_written_when_a_recorder_starts_say_nothing() {
+        let seen =
+            |late: Nanos, step: Nanos| -> Seen { (0..6).map(|k| (k, Some(NOW + k as Nanos * step - late))).collect() };
+        let mut unused = Vec::new();
+        assert_eq!(by_equal(&seen(0, MS), &seen(9000 * MS, MS), &mut unused), None);
+        assert!(unused[0].contains("are not used"), "{unused:?}");
+        let found = by_equal(&seen(0, 500 * MS), &seen(37 * MS, 500 * MS), &mut unused).unwrap();
+        assert_eq!(
+            (found.offset, found.spread, found.count, unused.len()),
+            (37 * MS, 0, 6, 1)
+        );
+    }
 }

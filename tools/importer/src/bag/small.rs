@@ -26,6 +26,11 @@ pub struct At<T> {
     pub said: T,
 }
 
+/// By topic and source: reference clock less the clock of the stamps, and the time of the reference, ns.
+pub type References = BTreeMap<[String; 2], Vec<[Nanos; 2]>>;
+/// Log times of messages by a hash of topic and bytes; `None` of bytes that are there twice.
+pub type Seen = HashMap<u64, Option<Nanos>>;
+
 /// What a bag says besides clouds.
 #[derive(Default)]
 pub struct BagSmall {
@@ -33,10 +38,10 @@ pub struct BagSmall {
     pub frames: Frames,
     /// Stamps of transforms that move.
     pub moving: BTreeMap<Nanos, Nanos>,
-    /// Reference clock less the clock of the stamps, ns.
-    pub references: Vec<Nanos>,
-    /// Log times of messages by a hash of topic and bytes; `None` of bytes that are there twice.
-    pub seen: HashMap<u64, Option<Nanos>>,
+    /// Time references, by topic and source.
+    pub references: References,
+    /// Messages that may be in other bags too.
+    pub seen: Seen,
 }
 
 /// What an agent's topics say besides clouds.
@@ -133,7 +138,9 @@ impl Small {
     fn take(&mut self, import: &Import, bag: usize, connection: &Connection, message: &Message) -> Result<(), String> {
         let data = message.data();
         let known = &mut self.bags[bag];
-        if import.bags.len() > 1 && data.len() <= COMPARED && known.seen.len() < MOST_COMPARED {
+        // Each recorder writes static transforms when it starts, so their log times say nothing of clocks.
+        let is_compared = import.bags.len() > 1 && !is_static(&connection.topic);
+        if is_compared && data.len() <= COMPARED && known.seen.len() < MOST_COMPARED {
             let log_time = message.log_time;
             let seen = known.seen.entry(hash(&connection.topic, data));
             seen.and_modify(|seen| *seen = None).or_insert(Some(log_time));
@@ -166,8 +173,10 @@ impl Small {
                 return Ok(());
             }
             Kind::TimeReference => {
-                let [stamp, reference] = messages::time_reference(&mut begin()?)?;
-                known.references.push(reference.saturating_sub(stamped(stamp)));
+                let ([stamp, reference], source) = messages::time_reference(&mut begin()?)?;
+                let offset = reference.saturating_sub(stamped(stamp));
+                let of_source = known.references.entry([connection.topic.clone(), source]);
+                of_source.or_default().push([offset, reference]);
                 return Ok(());
             }
             _ => {}

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::fmt;
 use std::path::PathBuf;
 
+use realo_bags::printable;
 use serde::Serialize;
 
 use crate::Residual;
@@ -67,7 +68,9 @@ pub struct BagSummary {
 impl fmt::Display for BagSummary {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         let lines = |f: &mut fmt::Formatter, head: &str, lines: &[String]| {
-            lines.iter().try_for_each(|line| writeln!(f, "{head}{line}"))
+            lines
+                .iter()
+                .try_for_each(|line| writeln!(f, "{head}{}", printable(line)))
         };
         lines(f, "bag: ", &self.bags)?;
         lines(f, "note: ", &self.notes)?;
@@ -86,7 +89,7 @@ impl fmt::Display for BagSummary {
             write!(
                 f,
                 "\n`{name}`: {sweeps} sweeps of {}, {points} points, {poses} poses",
-                agent.clouds
+                printable(&agent.clouds)
             )?;
             if agent.truths > 0 {
                 write!(
@@ -98,7 +101,7 @@ impl fmt::Display for BagSummary {
             if agent.detections > 0 {
                 write!(f, ", {} sweeps with detections", agent.detections)?;
             }
-            write!(f, "\n  poses: {}", agent.pose_words)?;
+            write!(f, "\n  poses: {}", printable(&agent.pose_words))?;
             write!(
                 f,
                 "\n  frame {:.2} m over the ground; times: {}",
@@ -107,7 +110,7 @@ impl fmt::Display for BagSummary {
             write!(f, "\n  intensities: {}", agent.intensities)?;
         }
         for clock in &self.clocks {
-            write!(f, "\n{clock}")?;
+            write!(f, "\n{}", printable(clock))?;
         }
         let classes: Vec<String> = self.classes.iter().map(|(class, n)| format!("{n} {class}")).collect();
         match classes.is_empty() {
@@ -115,7 +118,7 @@ impl fmt::Display for BagSummary {
                 f,
                 "\nno truth: a run reports rates, ages, bytes and boxes, and no score"
             )?,
-            false => write!(f, "\ntruth: {}", classes.join(", "))?,
+            false => write!(f, "\ntruth: {}", printable(&classes.join(", ")))?,
         }
         for residual in &self.residuals {
             write!(f, "\n{residual}")?;
@@ -129,6 +132,6 @@ impl fmt::Display for BagSummary {
         }
         self.left_out
             .iter()
-            .try_for_each(|(reason, n)| write!(f, "\nleft out: {n} × {reason}"))
+            .try_for_each(|(reason, n)| write!(f, "\nleft out: {n} × {}", printable(reason)))
     }
 }

@@ -288,3 +288,21 @@ fn auto_recognises_bags_by_their_bytes() {
         "{seen}"
     );
 }
+
+#[test]
+fn a_topic_that_is_there_many_times_is_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let bag = dir.path().join("bag.db3");
+    db3(&bag, &recording(PLAIN, 0.0, 0), Wire::Little, false);
+    let mut bytes = fs::read(&bag).unwrap();
+    // The second pointer of the page of topics leads to the row of the first.
+    let name: &[u8] = b"nav_msgs/msg/Odometry";
+    let page = bytes
+        .chunks_mut(1024)
+        .find(|page| page[0] == 0x0d && page.windows(name.len()).any(|part| part == name))
+        .unwrap();
+    page.copy_within(8..10, 10);
+    fs::write(&bag, &bytes).unwrap();
+    let error = refused(&bag, Some(MAP));
+    assert!(error.contains("twice in `topics`"), "{error}");
+}

@@ -16,19 +16,44 @@ const OTHER: Names = Names {
 /// Messages of a third station that both recorded.
 fn heard(late: Nanos) -> impl Iterator<Item = Recorded> {
     (0..8u32).map(move |k| {
-        let time = T0 + i64::from(k) * 90 * MS + (i64::from(k) % 3) * MS - late;
+        let time = T0 + i64::from(k) * 300 * MS + (i64::from(k) % 3) * MS - late;
         recorded("/v2x/cam", "etsi_msgs/CAM", time, move |out| out.u32(1000 + k))
     })
 }
 
+/// Messages of a receiver that say how far its reference is ahead.
+fn references(late: Nanos, ahead: Nanos) -> impl Iterator<Item = Recorded> {
+    (0..5).map(move |k| {
+        let time = T0 + k * 200 * MS - late;
+        recorded("/time_reference", "sensor_msgs/TimeReference", time, move |out| {
+            out.header(time, "");
+            out.time(time + ahead);
+            out.text("gps");
+        })
+    })
+}
+
 fn two(late: Nanos, is_heard: bool, offset: &str) -> Result<(Vec<Nanos>, String), String> {
+    let ([a, b], said) = referenced(late, is_heard, offset, [None, None])?;
+    assert_eq!(a[0], T0);
+    Ok((b, said))
+}
+
+/// `ahead`: how far the reference of each bag is ahead, if it has one.
+fn referenced(
+    late: Nanos,
+    is_heard: bool,
+    offset: &str,
+    ahead: [Option<Nanos>; 2],
+) -> Result<([Vec<Nanos>; 2], String), String> {
     let dir = tempfile::tempdir().unwrap();
     let [a, b] = ["a.bag", "b.bag"].map(|name| dir.path().join(name));
-    for (path, start, late) in [(&a, 0.0, 0), (&b, 20.0, late)] {
+    for (path, start, late, ahead) in [(&a, 0.0, 0, ahead[0]), (&b, 20.0, late, ahead[1])] {
         let mut messages = recording(OTHER, start, late);
         if is_heard {
             messages.extend(heard(late));
         }
+        messages.extend(ahead.into_iter().flat_map(|ahead| references(late, ahead)));
         messages.sort_by_key(|message| message.log_time);
         ros1(path, &messages, "none");
     }
@@ -47,8 +72,22 @@ fn two(late: Nanos, is_heard: bool, offset: &str) -> Result<(Vec<Nanos>, String)
             .map(|(stamp, ..)| *stamp)
             .collect::<Vec<_>>()
     };
-    assert_eq!(stamps("a")[0], T0);
-    Ok((stamps("b"), summary.to_string()))
+    Ok((["a", "b"].map(stamps), summary.to_string()))
+}
+
+#[test]
+fn joined_bags_end_on_the_clock_of_a_reference() {
+    for ahead in [[Some(500 * MS), None], [None, Some(537 * MS)]] {
+        let ([a, b], said) = referenced(37 * MS, true, "", ahead).unwrap();
+        assert_eq!([a[0], b[0]], [T0 + 500 * MS; 2], "{said}");
+        assert!(
+            said.contains("by 5 time references (`/time_reference` of `gps`)"),
+            "{said}"
+        );
+    }
+    let ([a, b], said) = referenced(37 * MS, false, "", [Some(500 * MS), None]).unwrap();
+    assert_eq!([a[0], b[0]], [T0 + 500 * MS, T0 - 37 * MS]);
+    assert!(said.contains("nothing says how far it is from the reference"), "{said}");
 }
 
 #[test]
