@@ -16,7 +16,7 @@ use realo_schemas::{Box3, Kind, Nanos};
 use realo_scoring::Protocol;
 use serde::Serialize;
 
-use crate::judged::{Judged, labelled};
+use crate::judged::{Judged, is_known, labelled};
 use crate::recorded::{Recorded, Sweep};
 use crate::{PageError, Request};
 
@@ -43,9 +43,15 @@ fn place(names: &mut Vec<String>, name: &str) -> usize {
     })
 }
 
-/// An object: `[class, x, y, z, length, width, height, yaw, track or -1, counts: 0 or 1]` and the points of each agent of
-/// the scene on it, nothing where the log does not say.
+/// An object: `[class, x, y, z, length, width, height, yaw, the scene's number of its track or -1, counts: 0 or 1]` and the
+/// points of each agent of the scene on it, nothing where the log does not say.
 pub type ObjectRow = (Vec<i32>, Vec<u32>);
+
+/// The number of a track, which is new for a new one.
+fn number_of(tracks: &mut BTreeMap<u64, i32>, track: u64) -> i32 {
+    let next = tracks.len() as i32;
+    *tracks.entry(track).or_insert(next)
+}
 
 /// `[x, y, z, yaw]` of a body in the map.
 pub type PoseRow = [i64; 4];
@@ -71,6 +77,15 @@ pub struct ScenePart {
     pub start_ns: Nanos,
     #[serde(skip)]
     pub exact: bool,
+    /// What its sweeps are judged by.
+    #[serde(skip)]
+    pub rules: Protocol,
+    /// Name of the run that it was made for.
+    #[serde(skip)]
+    pub first_run: String,
+    /// Numbers of the log's tracks on the page: a track of a log may have more digits than a number of JavaScript.
+    #[serde(skip)]
+    pub tracks: BTreeMap<u64, i32>,
 }
 
 #[derive(Debug, Serialize)]
@@ -110,6 +125,8 @@ pub struct RunFrame {
     /// `[class, score, x, y, z, length, width, height, yaw, what became of it at each IoU …]`: the place of the object that
     /// it found, or -1 false, -2 not counted, -3 not known. `None`: no boxes came.
     pub boxes: Option<Vec<Vec<i32>>>,
+    /// Whether the log says what is there, which may be nothing.
+    pub known: bool,
     /// Its objects, where they differ from those of the frame.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub objects: Option<Vec<ObjectRow>>,
@@ -168,14 +185,16 @@ impl Scenes {
                     run.result.frames.total
                 ));
             }
-            self.add(number, &run, &mut recorded, request, names, left_out)?;
+            self.add(number, name, &run, &mut recorded, request, names, left_out)?;
         }
         Ok(())
     }
 
+    #[allow(clippy::too_many_arguments, reason = "a pass over a run fills them all")]
     fn add(
         &mut self,
         number: usize,
+        name: &str,
         run: &Run,
         recorded: &mut Recorded,
         request: &Request,
@@ -197,11 +216,16 @@ impl Scenes {
                 }
             }
         }
-        let protocol = match (&run.samples.evaluation, &found) {
-            (Some(evaluation), _) => evaluation.protocol.clone(),
-            (None, Some(log)) => Protocol::load(&log.info().protocol)?,
-            (None, None) => Protocol::load("default")?,
+        let known = self.parts.iter().find(|scene| scene.log == log && scene.ego == ego);
+        let protocol = match (&run.samples.evaluation, known, &found) {
+            (Some(evaluation), ..) => evaluation.protocol.clone(),
+            (None, Some(scene), _) => scene.rules.clone(),
+            (None, None, Some(log)) => Protocol::load(&log.info().protocol)?,
+            (None, None, None) => Protocol::load("default")?,
         };
+        if let Some(scene) = known {
+            scene.check_protocol(name, &protocol)?;
+        }
         // In the protocol's order, before any other name.
         protocol.classes.iter().for_each(|class| {
             names.class(&class.name);
@@ -216,7 +240,10 @@ impl Scenes {
             .or_insert_with(|| (pose.translation.vector.map(f64::round), start));
         let at = self.parts.iter().position(|scene| scene.log == log && scene.ego == ego);
         let at = at.unwrap_or_else(|| {
-            self.parts.push(ScenePart::new(&log, &ego, start, &protocol));
+            self.parts.push(ScenePart {
+                first_run: name.into(),
+                ..ScenePart::new(&log, &ego, start, &protocol)
+            });
             self.parts.len() - 1
         });
         let scene = &mut self.parts[at];
@@ -322,12 +349,33 @@ impl ScenePart {
             runs: Vec::new(),
             start_ns: start,
             exact: true,
+            rules: protocol.clone(),
+            first_run: String::new(),
+            tracks: BTreeMap::new(),
         }
     }
 
     #[cfg(test)]
     pub fn empty(log: &str, ego: &str) -> Self {
         ScenePart::new(log, ego, 0, &Protocol::load("default").expect("it is shipped"))
+    }
+
+    /// Whether a further run is judged by the rules of the scene: its outcomes are under the scene's IoUs.
+    fn check_protocol(&self, run: &str, protocol: &Protocol) -> Result<(), PageError> {
+        if *protocol == self.rules {
+            return Ok(());
+        }
+        Err(PageError::Protocols {
+            first: self.first_run.clone(),
+            first_protocol: self.rules.name.clone(),
+            second: run.into(),
+            second_protocol: match protocol.name == self.rules.name {
+                true => format!("{} with other settings", protocol.name),
+                false => protocol.name.clone(),
+            },
+            log: self.log.clone(),
+            ego: self.ego.clone(),
+        })
     }
 
     /// The place of an agent, ego first.
@@ -387,6 +435,7 @@ impl ScenePart {
         };
         if let Some((_, truth)) = &sweep.truth {
             frame.key |= truth.key;
+            of_run.known = is_known(truth);
             let order: Vec<Option<usize>> = self
                 .agents
                 .iter()
@@ -397,7 +446,7 @@ impl ScenePart {
                 let counted = judged.object_classes.get(index).copied().flatten();
                 let mut row = vec![names.class(counted.map_or(&*object.class, class))];
                 row.extend(place_of(object));
-                row.push(object.track.and_then(|track| i32::try_from(track).ok()).unwrap_or(-1));
+                row.push(object.track.map_or(-1, |track| number_of(&mut self.tracks, track)));
                 row.push(i32::from(counted.is_some()));
                 let points = |agent: &Option<usize>| {
                     let at = index * truth.agents.len() + (*agent)?;
@@ -486,6 +535,29 @@ fn placed(seq: u64, used: impl Iterator<Item = (u64, i64)>) -> Option<i64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn runs_of_different_protocols_are_refused_by_name() {
+        let mut scene = ScenePart::empty("log", "cav1");
+        scene.first_run = "early".into();
+        let mut protocol = scene.rules.clone();
+        assert!(scene.check_protocol("late", &protocol).is_ok());
+        protocol.ious.pop();
+        let same_name = scene.check_protocol("late", &protocol).unwrap_err().to_string();
+        assert!(same_name.contains("with other settings"), "{same_name}");
+        protocol.name = "other".into();
+        let said = scene.check_protocol("late", &protocol).unwrap_err().to_string();
+        for word in ["early", "`default`", "late", "`other`", "a report for each"] {
+            assert!(said.contains(word), "{word}: {said}");
+        }
+    }
+
+    #[test]
+    fn a_track_of_many_digits_has_a_small_number() {
+        let mut tracks = BTreeMap::new();
+        let numbers = [u64::MAX, 7, u64::MAX, 1 << 40].map(|track| number_of(&mut tracks, track));
+        assert_eq!(numbers, [0, 1, 0, 2]);
+    }
 
     #[test]
     fn a_message_is_placed_between_its_neighbours() {

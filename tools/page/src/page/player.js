@@ -69,9 +69,8 @@ function judge(of, run, seq, iou) {
   });
   for (const object of objects) object.fate = !object.counts ? "other" : object.foundBy ? object.foundBy.fate : "missed";
   const n = (list, fate) => list.filter((one) => one.fate === fate).length;
-  const known = !boxes.some((box) => box.code === NOT_JUDGED) && rows.length > 0;
   return {
-    boxes, objects, pose, used, known, processed: Boolean(frame.boxes), t: shared.t, key: shared.key,
+    boxes, objects, pose, used, known: frame.known, processed: Boolean(frame.boxes), t: shared.t, key: shared.key,
     counts: { hit: n(boxes, "hit"), added: n(boxes, "added"), false: n(boxes, "false"), missed: n(objects, "missed") },
   };
 }
