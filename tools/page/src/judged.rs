@@ -182,7 +182,11 @@ mod tests {
         assert!(!is_known(&empty.1));
         empty.1.key = true;
         let judged = Judged::of(Some(&empty), Some(&boxes), &protocol).unwrap();
-        assert_eq!(judged.detections[4], [FALSE, FALSE], "nothing is there, and that is known");
+        assert_eq!(
+            judged.detections[4],
+            [FALSE, FALSE],
+            "nothing is there, and that is known"
+        );
         let judged = Judged::of(None, Some(&boxes), &protocol).unwrap();
         assert!(judged.detections.iter().flatten().all(|code| *code == NOT_JUDGED));
     }

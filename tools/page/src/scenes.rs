@@ -185,6 +185,7 @@ impl Scenes {
                     run.result.frames.total
                 ));
             }
+            left_out.extend(recorded.left_out(&format!("{name}: {}", recording.display())));
             self.add(number, name, &run, &mut recorded, request, names, left_out)?;
         }
         Ok(())
@@ -264,7 +265,13 @@ impl Scenes {
         for (seq, sweep) in &recorded.sweeps {
             scene.add_sweep(*seq, sweep, recorded, &protocol, origin, &mut of_run, names)?;
         }
-        scene.add_fates(recorded, &mut of_run);
+        let all = scene.add_fates(recorded, &mut of_run);
+        if of_run.messages.len() < all {
+            left_out.push(format!(
+                "{name}: the player has {} of {all} messages to `{ego}` in `{log}`; messages that were not used come first",
+                of_run.messages.len()
+            ));
+        }
         scene.runs.push(of_run);
         Ok(())
     }
@@ -473,8 +480,9 @@ impl ScenePart {
         Ok(())
     }
 
-    /// What became of each message, and what was fused for each sweep.
-    fn add_fates(&mut self, recorded: &Recorded, run: &mut SceneRun) {
+    /// What became of each message, and what was fused for each sweep. Returns how many messages there are with those that
+    /// are not kept.
+    fn add_fates(&mut self, recorded: &Recorded, run: &mut SceneRun) -> usize {
         let kind_of = |kind: Kind| Kind::ALL.iter().position(|known| *known == kind).unwrap_or(0) as i64;
         // A message's fate is the first that fits; a use says for which sweep.
         let mut ends: BTreeMap<(usize, i64, u64), (Fate, Option<u64>)> = BTreeMap::new();
@@ -496,14 +504,23 @@ impl ScenePart {
                 }
             }
         }
-        let excess = ends.len().saturating_sub(MOST_MESSAGES);
-        let mut to_drop = excess;
+        // Evenly over all senders and times.
+        let used = ends.values().filter(|(fate, _)| *fate == Fate::Used).count();
+        let others = ends.len() - used;
+        let (keep_others, keep_used) = (
+            others.min(MOST_MESSAGES),
+            used.min(MOST_MESSAGES.saturating_sub(others)),
+        );
+        let (mut at_used, mut at_other) = (0, 0);
         let kept = ends.iter().filter(|(_, (fate, _))| {
-            let drop = to_drop > 0 && *fate == Fate::Used;
-            to_drop -= usize::from(drop);
-            !drop
+            let (at, keep, all) = match *fate == Fate::Used {
+                true => (&mut at_used, keep_used, used),
+                false => (&mut at_other, keep_others, others),
+            };
+            *at += 1;
+            is_kept(*at - 1, keep, all)
         });
-        let kept: Vec<_> = kept.take(MOST_MESSAGES).collect();
+        let kept: Vec<_> = kept.collect();
         for ((agent, kind, seq), (fate, query)) in kept {
             let t = query.and_then(|query| self.frames.get(&query)).map(|frame| frame.t);
             let t = t.or_else(|| {
@@ -517,7 +534,13 @@ impl ScenePart {
             run.messages
                 .push([*agent as i64, *kind, *seq as i64, number as i64, t.unwrap_or(-1)]);
         }
+        ends.len()
     }
+}
+
+/// Whether the thing at a place stays, where so many of all stay, evenly spread.
+fn is_kept(at: usize, keep: usize, all: usize) -> bool {
+    (at + 1) * keep / all > at * keep / all
 }
 
 /// The time of a message by those of its sender before and after it, ms; `None` with fewer than two.
@@ -557,6 +580,14 @@ mod tests {
         let mut tracks = BTreeMap::new();
         let numbers = [u64::MAX, 7, u64::MAX, 1 << 40].map(|track| number_of(&mut tracks, track));
         assert_eq!(numbers, [0, 1, 0, 2]);
+    }
+
+    #[test]
+    fn what_stays_is_evenly_spread() {
+        let kept = |keep, all| (0..all).filter(|at| is_kept(*at, keep, all)).collect::<Vec<_>>();
+        assert_eq!(kept(3, 9), [2, 5, 8]);
+        assert_eq!(kept(4, 4), [0, 1, 2, 3]);
+        assert_eq!((kept(0, 5).len(), kept(7, 10).len()), (0, 7));
     }
 
     #[test]

@@ -26,6 +26,12 @@ function timeline(of = scene()) {
   return timelines.get(of);
 }
 
+/** How many of the recorded sweeps of a scene are on the page. */
+function sweepsInWords(of) {
+  const [here, recorded] = [timeline(of).length, Math.max(...of.runs.map((run) => run.recorded))];
+  return here < recorded ? `${count(here)} of ${count(recorded)} recorded sweeps` : "All recorded sweeps";
+}
+
 /** The runs that are shown at first: the first, and beside it the ego alone, else the second. */
 function firstRuns() {
   const runs = scene().runs.map((_, run) => run);
@@ -578,6 +584,7 @@ function usedNow() {
     const lines = [
       ...rows.map(([agent, kind, age, number]) => [`${of.agents[agent].name}: ${KINDS[kind]} ${number}`, ms(age / 10)]),
       ...not.slice(0, 8).map(([agent, kind, number, fate]) => [`${of.agents[agent].name}: ${KINDS[kind]} ${number}`, FATE_WORDS[FATES[fate]] || FATES[fate]]),
+      ...(not.length > 8 ? [[`${not.length - 8} more that were not used`, ""]] : []),
     ];
     box.append(el("ul", {}, lines.length ? lines.map(([what, how]) => el("li", {}, el("span", {}, what), el("span", {}, how)))
       : el("li", { class: "muted" }, "nothing was fused")));
