@@ -277,6 +277,24 @@ fn wrong_input_gets_a_clear_error() {
         &["--log", "gone.mcap"],
         &["gone.mcap", "no such file", "--log"],
     );
+    // A log of another scene; the right one under another name is taken.
+    let args = ["--seed", "912", "--seconds", "1", "--agents", "cav1,rsu1"];
+    let other_log = simulated("report_other_log", &args);
+    said(
+        &[&late],
+        &page,
+        &["--log", &other_log.to_string_lossy()],
+        &["report_other_log", "expected the log `report_small`", "--log"],
+    );
+    let renamed = home.join("renamed.mcap");
+    fs::copy(log(), &renamed).unwrap();
+    let (code, words) = report(
+        &[&late],
+        &home.join("renamed.html"),
+        &["--log", &renamed.to_string_lossy()],
+    );
+    assert_eq!(code, Some(0), "{words}");
+    assert!(!words.contains("not here") && !words.contains("not taken"), "{words}");
     fs::write(home.join("mine.html"), "<html>my notes</html>").unwrap();
     said(
         &[&late],

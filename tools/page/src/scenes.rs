@@ -4,16 +4,17 @@
 //! scores thousandths. Boxes are in the ego's frame at their sweep; poses are in the map, from a place near the first ego.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::collections::btree_map::Entry;
+use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, Vector3};
-use realo_logs::{AgentKind, Log};
-use realo_render::{RECORDING, single_runs};
+use realo_logs::{AgentKind, Log, LogError, Stream};
+use realo_render::{RECORDING, RenderError, clouds, single_runs};
 use realo_results::{Run, read_run};
 use realo_schemas::geometry::yaw_of;
 use realo_schemas::report::Fate;
 use realo_schemas::{Box3, Kind, Nanos};
-use realo_scoring::Protocol;
+use realo_scoring::{Protocol, same_truth};
 use serde::Serialize;
 
 use crate::judged::{Judged, is_known, labelled};
@@ -146,6 +147,15 @@ pub struct Scenes {
     pub origins: BTreeMap<String, (Vector3<f64>, Nanos)>,
     /// By name; `None`: not found.
     pub logs: BTreeMap<String, Option<Log>>,
+    given: Given,
+}
+
+/// What became of the log that was named.
+#[derive(Default)]
+struct Given {
+    used: bool,
+    /// Name of the log of a run, and why it is another.
+    differs: Vec<(String, String)>,
 }
 
 impl Scenes {
@@ -204,7 +214,10 @@ impl Scenes {
     ) -> Result<(), PageError> {
         let log = run.result.logs.first().cloned().unwrap_or_default();
         let ego = run.result.settings.ego.clone();
-        let found = self.logs.entry(log.clone()).or_insert_with(|| open(run, request));
+        let found = match self.logs.entry(log.clone()) {
+            Entry::Occupied(entry) => entry.into_mut(),
+            Entry::Vacant(entry) => entry.insert(open(run, request, recorded, &mut self.given, left_out)?),
+        };
         match found {
             Some(found) => recorded.take_footprint(found.info().agent(&ego).and_then(|agent| agent.footprint)),
             None => {
@@ -276,6 +289,19 @@ impl Scenes {
         Ok(())
     }
 
+    /// Refuses a named log that no run played.
+    pub fn check_given(&self, request: &Request) -> Result<(), PageError> {
+        match (&request.log, self.given.differs.first()) {
+            (Some(log), Some((name, reason))) if !self.given.used => Err(RenderError::OtherLog {
+                log: log.clone(),
+                name: name.clone(),
+                reason: reason.clone(),
+            }
+            .into()),
+            _ => Ok(()),
+        }
+    }
+
     /// Runs over one log have mostly the same objects: they are kept once.
     pub fn share_truth(&mut self) {
         for scene in &mut self.parts {
@@ -311,16 +337,69 @@ fn begin(sweep: &Sweep) -> Option<(Nanos, Isometry3<f64>)> {
     ))
 }
 
-/// The log of a run, if it is there; the player does without.
-fn open(run: &Run, request: &Request) -> Option<Log> {
+/// The log of a run, if it is there; the player does without. A log that was named goes first, under any name.
+fn open(
+    run: &Run,
+    request: &Request,
+    recorded: &Recorded,
+    given: &mut Given,
+    left_out: &mut Vec<String>,
+) -> Result<Option<Log>, PageError> {
     let name = run.result.logs.first().map(String::as_str).unwrap_or_default();
-    let of_name = |path: &&std::path::PathBuf| path.file_stem().is_some_and(|stem| stem == name);
-    let given = request.log.iter().filter(of_name).cloned();
-    let candidates = given.chain(run.log_candidates(&request.log_folders));
-    let ego = &run.result.settings.ego;
-    candidates
-        .filter(|path| path.exists())
-        .find_map(|path| Log::open(path).ok().filter(|log| log.info().agent(ego).is_some()))
+    let named = request.log.iter().cloned().map(|path| (path, true));
+    let others = run.log_candidates(&request.log_folders);
+    let candidates: Vec<(PathBuf, bool)> = named.chain(others.into_iter().map(|path| (path, false))).collect();
+    for (path, is_given) in candidates {
+        if !path.exists() {
+            continue;
+        }
+        let log = match Log::open(&path) {
+            Ok(log) => log,
+            Err(error) if is_given => return Err(error.into()),
+            Err(_) => continue,
+        };
+        let reason = differs(&log, &run.result.settings.ego, recorded).unwrap_or_else(|error| Some(error.to_string()));
+        let Some(reason) = reason else {
+            given.used |= is_given;
+            return Ok(Some(log));
+        };
+        match is_given {
+            true => given.differs.push((name.into(), reason)),
+            false => left_out.push(format!(
+                "{}: not taken for the log `{name}` of a run, as {reason}; say where that is with --log",
+                path.display()
+            )),
+        }
+    }
+    Ok(None)
+}
+
+/// Why a log is not the one of a recording; `None`: it has the ego, its sweep and the same objects.
+fn differs(log: &Log, ego: &str, recorded: &Recorded) -> Result<Option<String>, LogError> {
+    if log.info().agent(ego).is_none() {
+        return Ok(Some(format!("it has no agent `{ego}`")));
+    }
+    let has_objects = |sweep: &&Sweep| sweep.truth.as_ref().is_some_and(|(_, truth)| is_known(truth));
+    let asked = recorded.sweeps.values().find(has_objects);
+    let Some(sweep) = asked.or_else(|| recorded.sweeps.values().next()) else {
+        return Ok(None);
+    };
+    let Some((stamp, _)) = begin(sweep) else {
+        return Ok(None);
+    };
+    let has_sweeps = log.has(ego, Stream::Sweeps) || log.has(ego, Stream::Points);
+    if has_sweeps && !clouds::has_sweep(log, ego, stamp)? {
+        let span = log.span().map_or(String::new(), |(from, until)| {
+            format!(" (it lasts from {from} to {until} ns)")
+        });
+        return Ok(Some(format!("it has no sweep of `{ego}` at {stamp} ns{span}")));
+    }
+    let Some((_, truth)) = &sweep.truth else {
+        return Ok(None);
+    };
+    let logged = clouds::truth(log, ego, stamp)?;
+    let other = same_truth(truth, &logged).err();
+    Ok(other.map(|reason| format!("the ground truth is another ({reason}) at the sweep of `{ego}` at {stamp} ns")))
 }
 
 fn cm(metres: f64) -> i32 {
