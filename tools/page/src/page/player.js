@@ -42,7 +42,7 @@ function firstRuns() {
 const seqNow = () => timeline()[state.at];
 
 const FATES_OF_BOXES = [
-  ["hit", "found"], ["added", "found by cooperation only"], ["false", "false"], ["missed", "missed"], ["other", "not counted"],
+  ["hit", "found"], ["added", "found, though the ego has few points on it and others were fused"], ["false", "false"], ["missed", "missed"], ["other", "not counted"],
 ];
 
 /** A sweep of a run as it is judged at an overlap: boxes, objects, counts. Kept, as many charts ask for it. */
@@ -480,7 +480,7 @@ function inWords(sweep) {
   if (!sweep) return NONE;
   if (!sweep.known) return `${sweep.boxes.length} boxes, nothing known of what is there`;
   const { hit, added, missed } = sweep.counts;
-  const gained = added ? ` (${added} by cooperation)` : "";
+  const gained = added ? ` (${added} with few points of the ego)` : "";
   return `${hit + added} found${gained} · ${sweep.counts.false} false · ${missed} missed`;
 }
 
@@ -517,7 +517,7 @@ function pick(pane, px, py) {
 }
 
 const WORDS = {
-  hit: "found", added: "found by cooperation only", false: "false: no object is there", missed: "missed",
+  hit: "found", added: "found, though the ego has few points on it and others were fused", false: "false: no object is there", missed: "missed",
   other: "not counted: of another class, outside of the region, or too few points",
 };
 
