@@ -279,20 +279,20 @@ fn points_are_those_of_the_log() {
     let map = pose * pose.inverse();
     let cloud = entry.cloud().expect("a cloud");
     let in_map = in_ego_frame(&cloud, entry.stamp(), &track, &map, &pose);
-    let from = [0, 1, 2].map(|axis| number(&part["from"][axis]) as f64 / 100.0);
+    let from = [0usize, 1, 2].map(|axis| number(&part["from"][axis]) as f64 / 100.0);
     // The page counts from a place of whole metres.
-    let origin = [0, 1, 2].map(|axis| (pose.translation.vector[axis] - from[axis]).round());
-    let [begin, length] = [0, 1].map(|at| number(&part["text"][at]) as usize);
+    let origin = [0usize, 1, 2].map(|axis| (pose.translation.vector[axis] - from[axis]).round());
+    let [begin, length] = [0usize, 1].map(|at| number(&part["text"][at]) as usize);
     let steps = steps(&points[begin..begin + length]);
     assert!(steps.len() > 3 * 1000, "{} numbers", steps.len());
     let mut logged = in_map.iter();
     for step in steps.chunks(3) {
-        let shown = [0, 1, 2].map(|axis| origin[axis] + from[axis] + 0.02 * f64::from(step[axis]));
-        let is_near = |point: &&[f32; 3]| {
-            let squares = [0, 1, 2].map(|axis| (f64::from(point[axis]) - shown[axis]).powi(2));
+        let shown = [0usize, 1, 2].map(|axis| origin[axis] + from[axis] + 0.02 * f64::from(step[axis]));
+        let is_near = |point: &[f32; 3]| {
+            let squares = [0usize, 1, 2].map(|axis| (f64::from(point[axis]) - shown[axis]).powi(2));
             squares.iter().sum::<f64>() < 0.02_f64.powi(2)
         };
-        assert!(logged.find(is_near).is_some(), "no point of the log is at {shown:?}");
+        assert!(logged.any(is_near), "no point of the log is at {shown:?}");
     }
 }
 
@@ -307,7 +307,7 @@ fn steps(text: &str) -> Vec<i16> {
             _ => 63,
         })
     };
-    let bits = |four: &[u8]| four.iter().fold(0, |bits, letter| bits << 6 | value(*letter));
+    let bits = |four: &[u8]| four.iter().fold(0u32, |bits, letter| bits << 6 | value(*letter));
     let bytes: Vec<u8> = text
         .as_bytes()
         .chunks(4)

@@ -190,7 +190,7 @@ fn traffic(runs: &[(&str, &Run)]) -> String {
         key += run.result.frames.key;
     }
     let boxes = match skipped {
-        _ if key == 0 => "no sweep is scored".into(),
+        _ if key == 0 => "no sweep is scored".to_string(),
         0 => format!("all {key} scored sweeps got boxes"),
         _ => format!("{skipped} of {key} scored sweeps got no boxes"),
     };
