@@ -9,6 +9,8 @@ use std::path::{Path, PathBuf};
 
 use browser::Browser;
 use common::{folder, json, once, realo, realo_ok, run_virtual, simulated, text};
+use realo_logs::{Log, MAX_GAP, Stream, pose_track};
+use realo_render::clouds::in_ego_frame;
 use serde_json::Value;
 
 const LOG: &str = "report_small";
@@ -251,6 +253,70 @@ fn points_are_those_of_the_log() {
     let end = last[0].as_u64().unwrap() + last[1].as_u64().unwrap();
     assert_eq!(points.len() as u64, end);
     assert!(text.len() < 40_000_000, "{} bytes", text.len());
+
+    // One sweep, point by point: the page keeps the order of the log.
+    let part = clouds
+        .iter()
+        .filter(|part| part["agent"] == "cav1")
+        .nth(10)
+        .expect("it has 30 sweeps");
+    let number = |value: &Value| value.as_i64().expect("a number");
+    let start: i64 = document["scenes"][0]["start"]
+        .as_str()
+        .expect("a text")
+        .parse()
+        .expect("ns");
+    let log = Log::open(log()).expect("the log opens");
+    let mut reader = log.read_all(&[("cav1", Stream::Points)]).expect("it has the points");
+    let entry = loop {
+        let entry = reader.next().expect("it can be read").expect("it has the sweep");
+        if (entry.stamp() - start) / 1_000_000 == number(&part["t"]) {
+            break entry;
+        }
+    };
+    let track = pose_track(&log, "cav1", Stream::Pose, MAX_GAP).expect("it has poses");
+    let pose = track.at(entry.stamp()).expect("the ego has a pose");
+    let map = pose * pose.inverse();
+    let cloud = entry.cloud().expect("a cloud");
+    let in_map = in_ego_frame(&cloud, entry.stamp(), &track, &map, &pose);
+    let from = [0usize, 1, 2].map(|axis| number(&part["from"][axis]) as f64 / 100.0);
+    // The page counts from a place of whole metres.
+    let origin = [0usize, 1, 2].map(|axis| (pose.translation.vector[axis] - from[axis]).round());
+    let [begin, length] = [0usize, 1].map(|at| number(&part["text"][at]) as usize);
+    let steps = steps(&points[begin..begin + length]);
+    assert!(steps.len() > 3 * 1000, "{} numbers", steps.len());
+    let mut logged = in_map.iter();
+    for step in steps.chunks(3) {
+        let shown = [0usize, 1, 2].map(|axis| origin[axis] + from[axis] + 0.02 * f64::from(step[axis]));
+        let is_near = |point: &[f32; 3]| {
+            let squares = [0usize, 1, 2].map(|axis| (f64::from(point[axis]) - shown[axis]).powi(2));
+            squares.iter().sum::<f64>() < 0.02_f64.powi(2)
+        };
+        assert!(logged.any(is_near), "no point of the log is at {shown:?}");
+    }
+}
+
+/// The numbers of 16 bits in a text of base64 without a rest.
+fn steps(text: &str) -> Vec<i16> {
+    let value = |letter: u8| {
+        u32::from(match letter {
+            b'A'..=b'Z' => letter - b'A',
+            b'a'..=b'z' => letter - b'a' + 26,
+            b'0'..=b'9' => letter - b'0' + 52,
+            b'+' => 62,
+            _ => 63,
+        })
+    };
+    let bits = |four: &[u8]| four.iter().fold(0u32, |bits, letter| bits << 6 | value(*letter));
+    let bytes: Vec<u8> = text
+        .as_bytes()
+        .chunks(4)
+        .flat_map(|four| bits(four).to_be_bytes().into_iter().skip(1))
+        .collect();
+    bytes
+        .chunks(2)
+        .map(|two| i16::from_le_bytes([two[0], two[1]]))
+        .collect()
 }
 
 #[test]
@@ -277,6 +343,24 @@ fn wrong_input_gets_a_clear_error() {
         &["--log", "gone.mcap"],
         &["gone.mcap", "no such file", "--log"],
     );
+    // A log of another scene; the right one under another name is taken.
+    let args = ["--seed", "912", "--seconds", "1", "--agents", "cav1,rsu1"];
+    let other_log = simulated("report_other_log", &args);
+    said(
+        &[&late],
+        &page,
+        &["--log", &other_log.to_string_lossy()],
+        &["report_other_log", "expected the log `report_small`", "--log"],
+    );
+    let renamed = home.join("renamed.mcap");
+    fs::copy(log(), &renamed).unwrap();
+    let (code, words) = report(
+        &[&late],
+        &home.join("renamed.html"),
+        &["--log", &renamed.to_string_lossy()],
+    );
+    assert_eq!(code, Some(0), "{words}");
+    assert!(!words.contains("not here") && !words.contains("not taken"), "{words}");
     fs::write(home.join("mine.html"), "<html>my notes</html>").unwrap();
     said(
         &[&late],

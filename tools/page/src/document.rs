@@ -123,6 +123,12 @@ impl Document {
         runs.map(|run| run.frames.len()).sum()
     }
 
+    /// Messages that the player has.
+    fn messages(&self) -> usize {
+        let runs = self.scenes.iter().flat_map(|scene| &scene.runs);
+        runs.map(|run| run.messages.len()).sum()
+    }
+
     /// The document as JSON, thinned to so many bytes at most: every 2nd, 4th, 8th … sweep of the player is kept. What was
     /// taken away is said in [`Document::left_out`].
     ///
@@ -130,6 +136,7 @@ impl Document {
     /// [`PageError::TooLarge`] where the rest is too large without any sweep.
     pub fn fitted(&mut self, most: usize) -> Result<String, PageError> {
         let mut stride: u64 = 1;
+        let (scenes, messages) = (self.scenes.len(), self.messages());
         loop {
             let text = self.json()?;
             if text.len() <= most {
@@ -147,8 +154,18 @@ impl Document {
             stride = stride.saturating_mul(factor.next_power_of_two());
             self.thin(stride);
             self.left_out.retain(|line| !line.starts_with(THINNED));
+            let mut gone = String::new();
+            if self.messages() < messages {
+                gone += &format!("; it has {} of {messages} messages", self.messages());
+            }
+            if self.scenes.len() < scenes {
+                gone += &format!(
+                    "; it has {} of {scenes} scenes, the others have no sweep left",
+                    self.scenes.len()
+                );
+            }
             self.left_out.push(format!(
-                "{THINNED} {stride}, so that the page stays below {} MB; a report of fewer runs, or of one \
+                "{THINNED} {stride}, so that the page stays below {} MB{gone}; a report of fewer runs, or of one \
                  log and ego (`RUN/LOG/EGO`), has more",
                 most / 1_000_000
             ));
@@ -163,7 +180,7 @@ impl Document {
         Ok(value.to_string())
     }
 
-    /// Keeps every n-th sweep of each scene, by its place among those that are there.
+    /// Keeps every n-th sweep of each scene, by its number, and the scenes that have one then.
     fn thin(&mut self, stride: u64) {
         for scene in &mut self.scenes {
             let few = scene.frames.len() as u64 <= 1;
@@ -180,6 +197,8 @@ impl Document {
                 });
             }
         }
+        // The player opens the first scene.
+        self.scenes.retain(|scene| !scene.frames.is_empty());
     }
 }
 
@@ -239,6 +258,23 @@ mod tests {
             assert!(thin.sweeps() > 10 && thin.sweeps() * text.len() <= 3000 * 2 * most);
             assert_eq!(thin.left_out.len(), 1, "{:?}", thin.left_out);
         }
+    }
+
+    #[test]
+    fn a_scene_that_is_thinned_to_nothing_is_gone_and_that_is_said() {
+        let mut thin = document(3000);
+        let mut short = ScenePart::empty("short", "cav1");
+        short.frames.insert(7, FramePart::default());
+        thin.scenes.insert(0, short);
+        thin.scenes[1].runs[0].messages = vec![[1, 0, 5, 0, 9]; 30_000];
+        let whole = thin.json().unwrap().len();
+        thin.fitted(whole / 3).unwrap();
+        assert!(thin.scenes.len() == 1 && thin.scenes[0].log == "log");
+        let said = thin.left_out.join("\n");
+        assert!(
+            said.contains("1 of 2 scenes") && said.contains("of 30000 messages"),
+            "{said}"
+        );
     }
 
     #[test]

@@ -25,6 +25,25 @@ pub enum PageError {
     /// The protocol of the log.
     #[error(transparent)]
     Protocol(#[from] ProtocolError),
+    /// Runs over one log that were scored by different rules.
+    #[error(
+        "{first} was scored by the protocol `{first_protocol}`, {second} by `{second_protocol}`, both over the log `{log}` with \
+         the ego `{ego}`; expected one protocol; make a report for each"
+    )]
+    Protocols {
+        /// The first run.
+        first: String,
+        /// Its protocol.
+        first_protocol: String,
+        /// The other run.
+        second: String,
+        /// Its protocol.
+        second_protocol: String,
+        /// The log of both.
+        log: String,
+        /// The ego of both.
+        ego: String,
+    },
     /// More than a page may hold, though no sweep is left in the player.
     #[error(
         "the tables and charts of {runs} runs take {bytes} bytes, a page may have {most}; name fewer runs, or pool them"

@@ -29,6 +29,11 @@ pub fn labelled<'a>(truth: &'a GroundTruth, protocol: &Protocol) -> &'a [Box3] {
     }
 }
 
+/// Whether the truth says what is there. A scored sweep may have no objects; a sweep that is not scored then has no labels.
+pub fn is_known(truth: &GroundTruth) -> bool {
+    truth.key || !truth.boxes.is_empty()
+}
+
 impl Judged {
     /// Matches what was detected with what is there at every IoU of the protocol, as if the sweep were scored.
     ///
@@ -40,7 +45,7 @@ impl Judged {
         protocol: &Protocol,
     ) -> Result<Self, EvaluationError> {
         let detected = boxes.map_or(&[][..], |(_, boxes)| &boxes.0);
-        let Some((header, content)) = truth.filter(|(_, truth)| truth.key || !truth.boxes.is_empty()) else {
+        let Some((header, content)) = truth.filter(|(_, truth)| is_known(truth)) else {
             return Ok(Judged {
                 detections: vec![vec![NOT_JUDGED; protocol.ious.len()]; detected.len()],
                 detection_classes: vec![None; detected.len()],
@@ -171,6 +176,17 @@ mod tests {
         assert_eq!(judged.detections, [[-2, -2], [-2, -2], [2, 2], [1, -1], [-1, -1]]);
         assert_eq!(judged.object_classes, [None, Some(0), Some(0)]);
         assert_eq!(judged.detection_classes[..3], [None, None, Some(0)]);
+        let mut empty = truth.clone();
+        empty.1.boxes.clear();
+        empty.1.points.clear();
+        assert!(!is_known(&empty.1));
+        empty.1.key = true;
+        let judged = Judged::of(Some(&empty), Some(&boxes), &protocol).unwrap();
+        assert_eq!(
+            judged.detections[4],
+            [FALSE, FALSE],
+            "nothing is there, and that is known"
+        );
         let judged = Judged::of(None, Some(&boxes), &protocol).unwrap();
         assert!(judged.detections.iter().flatten().all(|code| *code == NOT_JUDGED));
     }

@@ -100,6 +100,7 @@ pub fn page(request: &Request, watch: &Watch) -> Result<Page, PageError> {
         watch(&format!("reading the recording of {name}"), number, with_player);
         scenes.read(number, name, folder, request, most_sweeps, &mut names, &mut left_out)?;
     }
+    scenes.check_given(request)?;
     scenes.share_truth();
     let points = match request.points {
         true => Points::read(&mut scenes, request, &mut left_out, watch)?,

@@ -74,11 +74,29 @@ impl Points {
             times.extend(scene.frames.values().map(|frame| frame.t));
             *exact &= scene.exact;
         }
-        let sweeps: usize = wanted
-            .values()
-            .map(|(agents, times, _)| agents.len() * apart(times))
-            .sum();
-        let most = (request.most_point_bytes / POINT_BYTES / sweeps.max(1)).max(64);
+        // Counted before the first is read, as each has the same share.
+        let mut sweeps: usize = 0;
+        for (name, (agents, times, _)) in &wanted {
+            let Some(Some(log)) = scenes.logs.get(name) else {
+                continue;
+            };
+            let (_, start) = scenes.origins[name];
+            for (number, agent) in agents.iter().enumerate() {
+                watch(
+                    &format!("counting the sweeps of {agent} in {name}"),
+                    number,
+                    agents.len(),
+                );
+                if !log.has(agent, Stream::Points) {
+                    continue;
+                }
+                let mut reader = log.read_all(&[(agent, Stream::Points)])?;
+                while let Some(entry) = reader.next()? {
+                    sweeps += usize::from(is_near(times, (entry.stamp() - start) / 1_000_000));
+                }
+            }
+        }
+        let most = request.most_point_bytes / POINT_BYTES / sweeps.max(1);
         let mut points = Points::default();
         let mut largest = 0.0f32;
         for (name, (agents, times, exact)) in &wanted {
@@ -109,11 +127,7 @@ impl Points {
                 while let Some(entry) = reader.next()? {
                     let stamp = entry.stamp();
                     let t = (stamp - start) / 1_000_000;
-                    let near = NEAR / 1_000_000;
-                    let Some(pose) = track
-                        .at(stamp)
-                        .filter(|_| times.range(t - near..=t + near).next().is_some())
-                    else {
+                    let Some(pose) = track.at(stamp).filter(|_| is_near(times, t)) else {
                         continue;
                     };
                     let from = (pose.translation.vector - origin).map(|metres| (metres * 100.0).round() / 100.0);
@@ -206,17 +220,10 @@ fn need_logs(scenes: &Scenes, request: &Request) -> Result<(), PageError> {
     .into())
 }
 
-/// How many sweeps an agent has near these times, ms: egos take theirs at about the same times.
-fn apart(times: &BTreeSet<i64>) -> usize {
-    let mut last = None;
-    let is_new = |t: &&i64| {
-        let new = last.is_none_or(|last| **t - last > NEAR / 1_000_000);
-        if new {
-            last = Some(**t);
-        }
-        new
-    };
-    times.iter().filter(is_new).count()
+/// Whether a sweep at a time is near one of these times, ms.
+fn is_near(times: &BTreeSet<i64>, t: i64) -> bool {
+    let near = NEAR / 1_000_000;
+    times.range(t - near..=t + near).next().is_some()
 }
 
 /// So many points at most, in the order of the sweep; and the side of the cells that took it, m; 0 where all are kept.
@@ -247,6 +254,10 @@ fn thinned(
             u64::from(is_ground) << 63 | cells[0] << 42 | cells[1] << 21 | cells[2]
         };
         kept.retain(|point| taken.insert(number(point)));
+        // Beyond this the few that are left are in cells of their own, on the ground or around the origin.
+        if cell > 2.0 * reach {
+            kept.truncate(most);
+        }
         if kept.len() <= most {
             return (cell, kept);
         }
@@ -384,9 +395,21 @@ mod tests {
     }
 
     #[test]
-    fn sweeps_of_two_egos_at_about_the_same_time_are_one() {
-        assert_eq!(apart(&[0, 3, 100, 104, 200, 300].into()), 4);
-        assert_eq!(apart(&BTreeSet::new()), 0);
+    fn every_sweep_near_one_of_the_ego_counts() {
+        let egos = BTreeSet::from([0, 100, 200]);
+        let twice_as_often: Vec<i64> = (-100..=300).step_by(50).filter(|t| is_near(&egos, *t)).collect();
+        assert_eq!(twice_as_often, [-50, 0, 50, 100, 150, 200, 250]);
+        assert!(!is_near(&BTreeSet::new(), 0));
+    }
+
+    #[test]
+    fn the_smallest_share_is_kept_too() {
+        let place = |i: i32, z: f32| [if i % 2 == 0 { 600.0 } else { -600.0 }, i as f32 - 50.0, z];
+        let cloud: Vec<[f32; 3]> = (0..100).map(|i| place(i, (i % 3) as f32)).collect();
+        for most in [0, 1, 3, 63] {
+            let (_, thin) = thinned(cloud.clone(), most, CELL, |_| false);
+            assert!(thin.len() <= most, "{} of {most}", thin.len());
+        }
     }
 
     #[test]

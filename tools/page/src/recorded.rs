@@ -29,6 +29,10 @@ pub struct Recorded {
     pub total: usize,
     /// What was said of each message that crossed a link.
     pub fates: Vec<Fated>,
+    /// What was said of further messages, in number.
+    pub fates_cut: usize,
+    /// Reports of messages that are of an unknown form.
+    pub unreadable: usize,
     /// Where each agent was in the map, as the graph knew it.
     pub poses: BTreeMap<Name, PoseTrack>,
 }
@@ -44,6 +48,8 @@ impl Recorded {
             stride: 1,
             total: 0,
             fates: Vec::new(),
+            fates_cut: 0,
+            unreadable: 0,
             poses: BTreeMap::new(),
         };
         let mut numbers = std::collections::BTreeSet::new();
@@ -92,13 +98,47 @@ impl Recorded {
             if report["topic"] != FATES {
                 continue;
             }
-            // A document of another form says nothing here.
-            let fates = Vec::<Fated>::deserialize(&report["report"]).unwrap_or_default();
-            let of_ego = fates.into_iter().filter(|fated| fated.message.to == ego);
-            self.fates
-                .extend(of_ego.take(MOST_FATES.saturating_sub(self.fates.len())));
+            let Ok(fates) = Vec::<Fated>::deserialize(&report["report"]) else {
+                self.unreadable += 1;
+                continue;
+            };
+            for fated in fates.into_iter().filter(|fated| fated.message.to == ego) {
+                match self.fates.len() < MOST_FATES {
+                    true => self.fates.push(fated),
+                    false => self.fates_cut += 1,
+                }
+            }
         }
         Ok(())
+    }
+
+    /// What of the recording is not on the page, in words. `of`: the run and its recording.
+    pub fn left_out(&self, of: &str) -> Vec<String> {
+        let mut lines = Vec::new();
+        if self.stride > 1 {
+            lines.push(format!(
+                "{of}: the player has {} of {} sweeps, one of {}; a report of fewer runs, or of one log and ego \
+                 (`RUN/LOG/EGO`), has more",
+                self.sweeps.len(),
+                self.total,
+                self.stride
+            ));
+        }
+        if self.fates_cut > 0 {
+            lines.push(format!(
+                "{of}: the player has what was said of messages {} times of {}; the last are left out, and a shorter run has all",
+                self.fates.len(),
+                self.fates.len() + self.fates_cut
+            ));
+        }
+        if self.unreadable > 0 {
+            lines.push(format!(
+                "{of}: {} reports of messages are of an unknown form, so the player lacks these messages; run it again with \
+                 this version",
+                self.unreadable
+            ));
+        }
+        lines
     }
 
     fn read_poses(&mut self, recording: &Path) -> Result<(), PageError> {
@@ -125,6 +165,8 @@ mod tests {
             stride: 1,
             total: 0,
             fates: Vec::new(),
+            fates_cut: 0,
+            unreadable: 0,
             poses: BTreeMap::new(),
         };
         (0..1000).for_each(|seq| {
@@ -133,5 +175,12 @@ mod tests {
         assert_eq!(recorded.stride, 16);
         assert!(recorded.sweeps.keys().copied().eq((0..1000).step_by(16)));
         assert!(recorded.kept(1, 100).is_none() && recorded.kept(16, 100).is_some());
+        (recorded.total, recorded.unreadable) = (1000, 3);
+        let said = recorded.left_out("late: recording.mcap");
+        assert_eq!(said.len(), 2, "{said:?}");
+        assert!(
+            said[0].contains("63 of 1000 sweeps, one of 16") && said[1].contains("3 reports"),
+            "{said:?}"
+        );
     }
 }

@@ -4,19 +4,20 @@
 //! scores thousandths. Boxes are in the ego's frame at their sweep; poses are in the map, from a place near the first ego.
 
 use std::collections::BTreeMap;
-use std::path::Path;
+use std::collections::btree_map::Entry;
+use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, Vector3};
-use realo_logs::{AgentKind, Log};
-use realo_render::{RECORDING, single_runs};
+use realo_logs::{AgentKind, Log, LogError, Stream};
+use realo_render::{RECORDING, RenderError, clouds, single_runs};
 use realo_results::{Run, read_run};
 use realo_schemas::geometry::yaw_of;
 use realo_schemas::report::Fate;
 use realo_schemas::{Box3, Kind, Nanos};
-use realo_scoring::Protocol;
+use realo_scoring::{Protocol, same_truth};
 use serde::Serialize;
 
-use crate::judged::{Judged, labelled};
+use crate::judged::{Judged, is_known, labelled};
 use crate::recorded::{Recorded, Sweep};
 use crate::{PageError, Request};
 
@@ -43,9 +44,15 @@ fn place(names: &mut Vec<String>, name: &str) -> usize {
     })
 }
 
-/// An object: `[class, x, y, z, length, width, height, yaw, track or -1, counts: 0 or 1]` and the points of each agent of
-/// the scene on it, nothing where the log does not say.
+/// An object: `[class, x, y, z, length, width, height, yaw, the scene's number of its track or -1, counts: 0 or 1]` and the
+/// points of each agent of the scene on it, nothing where the log does not say.
 pub type ObjectRow = (Vec<i32>, Vec<u32>);
+
+/// The number of a track, which is new for a new one.
+fn number_of(tracks: &mut BTreeMap<u64, i32>, track: u64) -> i32 {
+    let next = tracks.len() as i32;
+    *tracks.entry(track).or_insert(next)
+}
 
 /// `[x, y, z, yaw]` of a body in the map.
 pub type PoseRow = [i64; 4];
@@ -71,6 +78,15 @@ pub struct ScenePart {
     pub start_ns: Nanos,
     #[serde(skip)]
     pub exact: bool,
+    /// What its sweeps are judged by.
+    #[serde(skip)]
+    pub rules: Protocol,
+    /// Name of the run that it was made for.
+    #[serde(skip)]
+    pub first_run: String,
+    /// Numbers of the log's tracks on the page: a track of a log may have more digits than a number of JavaScript.
+    #[serde(skip)]
+    pub tracks: BTreeMap<u64, i32>,
 }
 
 #[derive(Debug, Serialize)]
@@ -110,6 +126,8 @@ pub struct RunFrame {
     /// `[class, score, x, y, z, length, width, height, yaw, what became of it at each IoU …]`: the place of the object that
     /// it found, or -1 false, -2 not counted, -3 not known. `None`: no boxes came.
     pub boxes: Option<Vec<Vec<i32>>>,
+    /// Whether the log says what is there, which may be nothing.
+    pub known: bool,
     /// Its objects, where they differ from those of the frame.
     #[serde(skip_serializing_if = "Option::is_none")]
     pub objects: Option<Vec<ObjectRow>>,
@@ -129,6 +147,15 @@ pub struct Scenes {
     pub origins: BTreeMap<String, (Vector3<f64>, Nanos)>,
     /// By name; `None`: not found.
     pub logs: BTreeMap<String, Option<Log>>,
+    given: Given,
+}
+
+/// What became of the log that was named.
+#[derive(Default)]
+struct Given {
+    used: bool,
+    /// Name of the log of a run, and why it is another.
+    differs: Vec<(String, String)>,
 }
 
 impl Scenes {
@@ -168,14 +195,17 @@ impl Scenes {
                     run.result.frames.total
                 ));
             }
-            self.add(number, &run, &mut recorded, request, names, left_out)?;
+            left_out.extend(recorded.left_out(&format!("{name}: {}", recording.display())));
+            self.add(number, name, &run, &mut recorded, request, names, left_out)?;
         }
         Ok(())
     }
 
+    #[allow(clippy::too_many_arguments, reason = "a pass over a run fills them all")]
     fn add(
         &mut self,
         number: usize,
+        name: &str,
         run: &Run,
         recorded: &mut Recorded,
         request: &Request,
@@ -184,7 +214,10 @@ impl Scenes {
     ) -> Result<(), PageError> {
         let log = run.result.logs.first().cloned().unwrap_or_default();
         let ego = run.result.settings.ego.clone();
-        let found = self.logs.entry(log.clone()).or_insert_with(|| open(run, request));
+        let found = match self.logs.entry(log.clone()) {
+            Entry::Occupied(entry) => entry.into_mut(),
+            Entry::Vacant(entry) => entry.insert(open(run, request, recorded, &mut self.given, left_out)?),
+        };
         match found {
             Some(found) => recorded.take_footprint(found.info().agent(&ego).and_then(|agent| agent.footprint)),
             None => {
@@ -197,11 +230,16 @@ impl Scenes {
                 }
             }
         }
-        let protocol = match (&run.samples.evaluation, &found) {
-            (Some(evaluation), _) => evaluation.protocol.clone(),
-            (None, Some(log)) => Protocol::load(&log.info().protocol)?,
-            (None, None) => Protocol::load("default")?,
+        let known = self.parts.iter().find(|scene| scene.log == log && scene.ego == ego);
+        let protocol = match (&run.samples.evaluation, known, &found) {
+            (Some(evaluation), ..) => evaluation.protocol.clone(),
+            (None, Some(scene), _) => scene.rules.clone(),
+            (None, None, Some(log)) => Protocol::load(&log.info().protocol)?,
+            (None, None, None) => Protocol::load("default")?,
         };
+        if let Some(scene) = known {
+            scene.check_protocol(name, &protocol)?;
+        }
         // In the protocol's order, before any other name.
         protocol.classes.iter().for_each(|class| {
             names.class(&class.name);
@@ -216,7 +254,10 @@ impl Scenes {
             .or_insert_with(|| (pose.translation.vector.map(f64::round), start));
         let at = self.parts.iter().position(|scene| scene.log == log && scene.ego == ego);
         let at = at.unwrap_or_else(|| {
-            self.parts.push(ScenePart::new(&log, &ego, start, &protocol));
+            self.parts.push(ScenePart {
+                first_run: name.into(),
+                ..ScenePart::new(&log, &ego, start, &protocol)
+            });
             self.parts.len() - 1
         });
         let scene = &mut self.parts[at];
@@ -237,9 +278,28 @@ impl Scenes {
         for (seq, sweep) in &recorded.sweeps {
             scene.add_sweep(*seq, sweep, recorded, &protocol, origin, &mut of_run, names)?;
         }
-        scene.add_fates(recorded, &mut of_run);
+        let all = scene.add_fates(recorded, &mut of_run);
+        if of_run.messages.len() < all {
+            left_out.push(format!(
+                "{name}: the player has {} of {all} messages to `{ego}` in `{log}`; messages that were not used come first",
+                of_run.messages.len()
+            ));
+        }
         scene.runs.push(of_run);
         Ok(())
+    }
+
+    /// Refuses a named log that no run played.
+    pub fn check_given(&self, request: &Request) -> Result<(), PageError> {
+        match (&request.log, self.given.differs.first()) {
+            (Some(log), Some((name, reason))) if !self.given.used => Err(RenderError::OtherLog {
+                log: log.clone(),
+                name: name.clone(),
+                reason: reason.clone(),
+            }
+            .into()),
+            _ => Ok(()),
+        }
     }
 
     /// Runs over one log have mostly the same objects: they are kept once.
@@ -277,16 +337,69 @@ fn begin(sweep: &Sweep) -> Option<(Nanos, Isometry3<f64>)> {
     ))
 }
 
-/// The log of a run, if it is there; the player does without.
-fn open(run: &Run, request: &Request) -> Option<Log> {
+/// The log of a run, if it is there; the player does without. A log that was named goes first, under any name.
+fn open(
+    run: &Run,
+    request: &Request,
+    recorded: &Recorded,
+    given: &mut Given,
+    left_out: &mut Vec<String>,
+) -> Result<Option<Log>, PageError> {
     let name = run.result.logs.first().map(String::as_str).unwrap_or_default();
-    let of_name = |path: &&std::path::PathBuf| path.file_stem().is_some_and(|stem| stem == name);
-    let given = request.log.iter().filter(of_name).cloned();
-    let candidates = given.chain(run.log_candidates(&request.log_folders));
-    let ego = &run.result.settings.ego;
-    candidates
-        .filter(|path| path.exists())
-        .find_map(|path| Log::open(path).ok().filter(|log| log.info().agent(ego).is_some()))
+    let named = request.log.iter().cloned().map(|path| (path, true));
+    let others = run.log_candidates(&request.log_folders);
+    let candidates: Vec<(PathBuf, bool)> = named.chain(others.into_iter().map(|path| (path, false))).collect();
+    for (path, is_given) in candidates {
+        if !path.exists() {
+            continue;
+        }
+        let log = match Log::open(&path) {
+            Ok(log) => log,
+            Err(error) if is_given => return Err(error.into()),
+            Err(_) => continue,
+        };
+        let reason = differs(&log, &run.result.settings.ego, recorded).unwrap_or_else(|error| Some(error.to_string()));
+        let Some(reason) = reason else {
+            given.used |= is_given;
+            return Ok(Some(log));
+        };
+        match is_given {
+            true => given.differs.push((name.into(), reason)),
+            false => left_out.push(format!(
+                "{}: not taken for the log `{name}` of a run, as {reason}; say where that is with --log",
+                path.display()
+            )),
+        }
+    }
+    Ok(None)
+}
+
+/// Why a log is not the one of a recording; `None`: it has the ego, its sweep and the same objects.
+fn differs(log: &Log, ego: &str, recorded: &Recorded) -> Result<Option<String>, LogError> {
+    if log.info().agent(ego).is_none() {
+        return Ok(Some(format!("it has no agent `{ego}`")));
+    }
+    let has_objects = |sweep: &&Sweep| sweep.truth.as_ref().is_some_and(|(_, truth)| is_known(truth));
+    let asked = recorded.sweeps.values().find(has_objects);
+    let Some(sweep) = asked.or_else(|| recorded.sweeps.values().next()) else {
+        return Ok(None);
+    };
+    let Some((stamp, _)) = begin(sweep) else {
+        return Ok(None);
+    };
+    let has_sweeps = log.has(ego, Stream::Sweeps) || log.has(ego, Stream::Points);
+    if has_sweeps && !clouds::has_sweep(log, ego, stamp)? {
+        let span = log.span().map_or(String::new(), |(from, until)| {
+            format!(" (it lasts from {from} to {until} ns)")
+        });
+        return Ok(Some(format!("it has no sweep of `{ego}` at {stamp} ns{span}")));
+    }
+    let Some((_, truth)) = &sweep.truth else {
+        return Ok(None);
+    };
+    let logged = clouds::truth(log, ego, stamp)?;
+    let other = same_truth(truth, &logged).err();
+    Ok(other.map(|reason| format!("the ground truth is another ({reason}) at the sweep of `{ego}` at {stamp} ns")))
 }
 
 fn cm(metres: f64) -> i32 {
@@ -322,12 +435,33 @@ impl ScenePart {
             runs: Vec::new(),
             start_ns: start,
             exact: true,
+            rules: protocol.clone(),
+            first_run: String::new(),
+            tracks: BTreeMap::new(),
         }
     }
 
     #[cfg(test)]
     pub fn empty(log: &str, ego: &str) -> Self {
         ScenePart::new(log, ego, 0, &Protocol::load("default").expect("it is shipped"))
+    }
+
+    /// Whether a further run is judged by the rules of the scene: its outcomes are under the scene's IoUs.
+    fn check_protocol(&self, run: &str, protocol: &Protocol) -> Result<(), PageError> {
+        if *protocol == self.rules {
+            return Ok(());
+        }
+        Err(PageError::Protocols {
+            first: self.first_run.clone(),
+            first_protocol: self.rules.name.clone(),
+            second: run.into(),
+            second_protocol: match protocol.name == self.rules.name {
+                true => format!("{} with other settings", protocol.name),
+                false => protocol.name.clone(),
+            },
+            log: self.log.clone(),
+            ego: self.ego.clone(),
+        })
     }
 
     /// The place of an agent, ego first.
@@ -387,6 +521,7 @@ impl ScenePart {
         };
         if let Some((_, truth)) = &sweep.truth {
             frame.key |= truth.key;
+            of_run.known = is_known(truth);
             let order: Vec<Option<usize>> = self
                 .agents
                 .iter()
@@ -397,7 +532,7 @@ impl ScenePart {
                 let counted = judged.object_classes.get(index).copied().flatten();
                 let mut row = vec![names.class(counted.map_or(&*object.class, class))];
                 row.extend(place_of(object));
-                row.push(object.track.and_then(|track| i32::try_from(track).ok()).unwrap_or(-1));
+                row.push(object.track.map_or(-1, |track| number_of(&mut self.tracks, track)));
                 row.push(i32::from(counted.is_some()));
                 let points = |agent: &Option<usize>| {
                     let at = index * truth.agents.len() + (*agent)?;
@@ -424,8 +559,9 @@ impl ScenePart {
         Ok(())
     }
 
-    /// What became of each message, and what was fused for each sweep.
-    fn add_fates(&mut self, recorded: &Recorded, run: &mut SceneRun) {
+    /// What became of each message, and what was fused for each sweep. Returns how many messages there are with those that
+    /// are not kept.
+    fn add_fates(&mut self, recorded: &Recorded, run: &mut SceneRun) -> usize {
         let kind_of = |kind: Kind| Kind::ALL.iter().position(|known| *known == kind).unwrap_or(0) as i64;
         // A message's fate is the first that fits; a use says for which sweep.
         let mut ends: BTreeMap<(usize, i64, u64), (Fate, Option<u64>)> = BTreeMap::new();
@@ -447,14 +583,23 @@ impl ScenePart {
                 }
             }
         }
-        let excess = ends.len().saturating_sub(MOST_MESSAGES);
-        let mut to_drop = excess;
+        // Evenly over all senders and times.
+        let used = ends.values().filter(|(fate, _)| *fate == Fate::Used).count();
+        let others = ends.len() - used;
+        let (keep_others, keep_used) = (
+            others.min(MOST_MESSAGES),
+            used.min(MOST_MESSAGES.saturating_sub(others)),
+        );
+        let (mut at_used, mut at_other) = (0, 0);
         let kept = ends.iter().filter(|(_, (fate, _))| {
-            let drop = to_drop > 0 && *fate == Fate::Used;
-            to_drop -= usize::from(drop);
-            !drop
+            let (at, keep, all) = match *fate == Fate::Used {
+                true => (&mut at_used, keep_used, used),
+                false => (&mut at_other, keep_others, others),
+            };
+            *at += 1;
+            is_kept(*at - 1, keep, all)
         });
-        let kept: Vec<_> = kept.take(MOST_MESSAGES).collect();
+        let kept: Vec<_> = kept.collect();
         for ((agent, kind, seq), (fate, query)) in kept {
             let t = query.and_then(|query| self.frames.get(&query)).map(|frame| frame.t);
             let t = t.or_else(|| {
@@ -468,7 +613,13 @@ impl ScenePart {
             run.messages
                 .push([*agent as i64, *kind, *seq as i64, number as i64, t.unwrap_or(-1)]);
         }
+        ends.len()
     }
+}
+
+/// Whether the thing at a place stays, where so many of all stay, evenly spread.
+fn is_kept(at: usize, keep: usize, all: usize) -> bool {
+    (at + 1) * keep / all > at * keep / all
 }
 
 /// The time of a message by those of its sender before and after it, ms; `None` with fewer than two.
@@ -486,6 +637,37 @@ fn placed(seq: u64, used: impl Iterator<Item = (u64, i64)>) -> Option<i64> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn runs_of_different_protocols_are_refused_by_name() {
+        let mut scene = ScenePart::empty("log", "cav1");
+        scene.first_run = "early".into();
+        let mut protocol = scene.rules.clone();
+        assert!(scene.check_protocol("late", &protocol).is_ok());
+        protocol.ious.pop();
+        let same_name = scene.check_protocol("late", &protocol).unwrap_err().to_string();
+        assert!(same_name.contains("with other settings"), "{same_name}");
+        protocol.name = "other".into();
+        let said = scene.check_protocol("late", &protocol).unwrap_err().to_string();
+        for word in ["early", "`default`", "late", "`other`", "a report for each"] {
+            assert!(said.contains(word), "{word}: {said}");
+        }
+    }
+
+    #[test]
+    fn a_track_of_many_digits_has_a_small_number() {
+        let mut tracks = BTreeMap::new();
+        let numbers = [u64::MAX, 7, u64::MAX, 1 << 40].map(|track| number_of(&mut tracks, track));
+        assert_eq!(numbers, [0, 1, 0, 2]);
+    }
+
+    #[test]
+    fn what_stays_is_evenly_spread() {
+        let kept = |keep, all| (0..all).filter(|at| is_kept(*at, keep, all)).collect::<Vec<_>>();
+        assert_eq!(kept(3, 9), [2, 5, 8]);
+        assert_eq!(kept(4, 4), [0, 1, 2, 3]);
+        assert_eq!((kept(0, 5).len(), kept(7, 10).len()), (0, 7));
+    }
 
     #[test]
     fn a_message_is_placed_between_its_neighbours() {

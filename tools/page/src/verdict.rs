@@ -65,6 +65,16 @@ impl<'a> Scored<'a> {
         self.run.result.cooperation.is_none()
     }
 
+    /// What it was scored on: protocol, logs and egos.
+    fn scope(&self) -> (Option<&str>, BTreeSet<&str>, BTreeSet<&str>) {
+        let result = &self.run.result;
+        (
+            result.protocol.as_deref(),
+            result.logs.iter().map(String::as_str).collect(),
+            result.egos.iter().map(String::as_str).collect(),
+        )
+    }
+
     fn value(&self) -> String {
         match self.interval {
             Some([low, high]) => format!("{:.3} (95 % interval {low:.3} to {high:.3})", self.mean),
@@ -76,6 +86,7 @@ impl<'a> Scored<'a> {
 fn ranking(scored: &[Scored], iou: &str) -> String {
     let mut order: Vec<&Scored> = scored.iter().collect();
     order.sort_by(|a, b| b.mean.total_cmp(&a.mean));
+    let same_logs = order.iter().all(|scored| scored.scope() == order[0].scope());
     match order.as_slice() {
         [] => "No run was scored: the log has no truth, or the graph has no evaluator.".into(),
         [only] => format!("{} reaches mAP {} at IoU {iou}.", only.name, only.value()),
@@ -89,13 +100,17 @@ fn ranking(scored: &[Scored], iou: &str) -> String {
                 format!("; last is {} with {:.3}", last.name, last.mean)
             });
             format!(
-                "{} is best, with mAP {} at IoU {iou}: {:.3} more than {}, which has {}{last}. {}",
+                "{} {}, with mAP {} at IoU {iou}: {:.3} more than {}, which has {}{last}. {}",
                 first.name,
+                if same_logs { "is best" } else { "has the highest score" },
                 first.value(),
                 first.mean - second.mean,
                 second.name,
                 second.value(),
-                certainty(first, second)
+                match same_logs {
+                    true => certainty(first, second),
+                    false => "They are not of the same logs, egos and protocol, so this does not say which is better.",
+                }
             )
         }
     }
@@ -113,10 +128,11 @@ fn certainty(first: &Scored, second: &Scored) -> &'static str {
     }
 }
 
-/// Fused minus ego alone, for each run that fuses; nothing without a run of the ego alone.
+/// Fused minus ego alone, for each run that fuses, over the same logs; nothing without a run of the ego alone.
 fn margins(scored: &[Scored]) -> Option<String> {
     let alone = scored.iter().find(|scored| scored.is_alone())?;
-    let mut fused: Vec<&Scored> = scored.iter().filter(|scored| !scored.is_alone()).collect();
+    let is_comparable = |scored: &&Scored| !scored.is_alone() && scored.scope() == alone.scope();
+    let mut fused: Vec<&Scored> = scored.iter().filter(is_comparable).collect();
     fused.sort_by(|a, b| b.mean.total_cmp(&a.mean));
     if fused.is_empty() {
         return None;
@@ -174,6 +190,7 @@ fn traffic(runs: &[(&str, &Run)]) -> String {
         key += run.result.frames.key;
     }
     let boxes = match skipped {
+        _ if key == 0 => "no sweep is scored".to_string(),
         0 => format!("all {key} scored sweeps got boxes"),
         _ => format!("{skipped} of {key} scored sweeps got no boxes"),
     };
@@ -296,6 +313,20 @@ mod tests {
     }
 
     #[test]
+    fn runs_over_other_logs_are_not_ranked() {
+        let (mut late, none) = (run(0.9, 0.5, true), run(0.6, 0.6, false));
+        late.result.logs = vec!["elsewhere".into()];
+        let said = sentences(&[("none", &none), ("late", &late)]);
+        assert_eq!(said.len(), 2, "no margin over another log");
+        let said = &said[0];
+        assert!(said.starts_with("late has the highest score"), "{said}");
+        assert!(
+            said.contains("not of the same logs") && !said.contains("is best"),
+            "{said}"
+        );
+    }
+
+    #[test]
     fn intervals_say_how_sure_the_order_is() {
         let first = with_interval(run(0.9, 0.7, true), [0.75, 0.85]);
         for (high, words) in [(0.7, "do not overlap"), (0.8, "overlap: other logs")] {
@@ -340,6 +371,9 @@ mod tests {
     fn a_run_without_scores_says_so() {
         let mut silent = run(0.9, 0.5, true);
         silent.result.accuracy = None;
-        assert!(sentences(&[("a", &silent)])[0].starts_with("No run was scored"));
+        silent.result.frames.key = 0;
+        let said = sentences(&[("a", &silent)]);
+        assert!(said[0].starts_with("No run was scored"));
+        assert_eq!(said[1], "No message for fusion crossed a link; no sweep is scored.");
     }
 }

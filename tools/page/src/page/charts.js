@@ -195,7 +195,7 @@ function hitMaps() {
     const canvas = el("canvas", { role: "img", "aria-label": `Hits and misses of ${DOC.runs[run.run].name}`, style: "height:300px" });
     return { run: run.run, canvas, box: el("div", { class: "pane", style: `--c:${runColor(run.run)}` }, el("div", { class: "head" }, el("b", {}, DOC.runs[run.run].name)), canvas) };
   });
-  return figure("Map of hits and misses", "All recorded sweeps of this scene from above: faint where an object was found, yellow where only by cooperation, dashes where it was missed, crosses for false detections",
+  return figure("Map of hits and misses", `${sweepsInWords(scene())} of this scene from above: faint where an object was found, yellow where it was found though the ego has few points on it and others were fused, dashes where it was missed, crosses for false detections`,
     el("div", {}, el("div", { style: "display:grid;gap:8px;grid-template-columns:repeat(auto-fit,minmax(min(100%,300px),1fr))" }, maps.map((map) => map.box))), "", true);
 }
 

@@ -26,6 +26,12 @@ function timeline(of = scene()) {
   return timelines.get(of);
 }
 
+/** How many of the recorded sweeps of a scene are on the page. */
+function sweepsInWords(of) {
+  const [here, recorded] = [timeline(of).length, Math.max(...of.runs.map((run) => run.recorded))];
+  return here < recorded ? `${count(here)} of ${count(recorded)} recorded sweeps` : "All recorded sweeps";
+}
+
 /** The runs that are shown at first: the first, and beside it the ego alone, else the second. */
 function firstRuns() {
   const runs = scene().runs.map((_, run) => run);
@@ -36,7 +42,7 @@ function firstRuns() {
 const seqNow = () => timeline()[state.at];
 
 const FATES_OF_BOXES = [
-  ["hit", "found"], ["added", "found by cooperation only"], ["false", "false"], ["missed", "missed"], ["other", "not counted"],
+  ["hit", "found"], ["added", "found, though the ego has few points on it and others were fused"], ["false", "false"], ["missed", "missed"], ["other", "not counted"],
 ];
 
 /** A sweep of a run as it is judged at an overlap: boxes, objects, counts. Kept, as many charts ask for it. */
@@ -69,9 +75,8 @@ function judge(of, run, seq, iou) {
   });
   for (const object of objects) object.fate = !object.counts ? "other" : object.foundBy ? object.foundBy.fate : "missed";
   const n = (list, fate) => list.filter((one) => one.fate === fate).length;
-  const known = !boxes.some((box) => box.code === NOT_JUDGED) && rows.length > 0;
   return {
-    boxes, objects, pose, used, known, processed: Boolean(frame.boxes), t: shared.t, key: shared.key,
+    boxes, objects, pose, used, known: frame.known, processed: Boolean(frame.boxes), t: shared.t, key: shared.key,
     counts: { hit: n(boxes, "hit"), added: n(boxes, "added"), false: n(boxes, "false"), missed: n(objects, "missed") },
   };
 }
@@ -475,7 +480,7 @@ function inWords(sweep) {
   if (!sweep) return NONE;
   if (!sweep.known) return `${sweep.boxes.length} boxes, nothing known of what is there`;
   const { hit, added, missed } = sweep.counts;
-  const gained = added ? ` (${added} by cooperation)` : "";
+  const gained = added ? ` (${added} with few points of the ego)` : "";
   return `${hit + added} found${gained} · ${sweep.counts.false} false · ${missed} missed`;
 }
 
@@ -512,7 +517,7 @@ function pick(pane, px, py) {
 }
 
 const WORDS = {
-  hit: "found", added: "found by cooperation only", false: "false: no object is there", missed: "missed",
+  hit: "found", added: "found, though the ego has few points on it and others were fused", false: "false: no object is there", missed: "missed",
   other: "not counted: of another class, outside of the region, or too few points",
 };
 
@@ -579,6 +584,7 @@ function usedNow() {
     const lines = [
       ...rows.map(([agent, kind, age, number]) => [`${of.agents[agent].name}: ${KINDS[kind]} ${number}`, ms(age / 10)]),
       ...not.slice(0, 8).map(([agent, kind, number, fate]) => [`${of.agents[agent].name}: ${KINDS[kind]} ${number}`, FATE_WORDS[FATES[fate]] || FATES[fate]]),
+      ...(not.length > 8 ? [[`${not.length - 8} more that were not used`, ""]] : []),
     ];
     box.append(el("ul", {}, lines.length ? lines.map(([what, how]) => el("li", {}, el("span", {}, what), el("span", {}, how)))
       : el("li", { class: "muted" }, "nothing was fused")));

@@ -119,7 +119,7 @@ function addedObjects() {
       gained.length ? el("div", { class: "wide" }, table(heads, rows(gained, (one) => one.seq))) : null,
       harmed.length ? el("details", {}, el("summary", {}, "Found in fewer sweeps"), el("div", { class: "wide" }, table(heads, rows(harmed, (one) => one.lost)))) : null);
   });
-  section.replaceChildren(el("h2", {}, "What cooperation added"), el("p", { class: "muted" }, `All recorded sweeps of ${of.log}, ego ${of.ego}, at IoU ${of.ious[state.iou]}, object by object.`), ...parts);
+  section.replaceChildren(el("h2", {}, "What cooperation added"), el("p", { class: "muted" }, `${sweepsInWords(of)} of ${of.log}, ego ${of.ego}, at IoU ${of.ious[state.iou]}, object by object.${fused.length > 3 ? ` The first 3 of ${fused.length} runs with cooperation.` : ""} A table has 8 objects at most.`), ...parts);
 }
 
 // --- What was run -------------------------------------------------------------------------------------------------
