@@ -107,7 +107,7 @@ fn array(input: &mut CdrReader, form: DetectionForm) -> Result<Objects, CdrError
 
 fn detection(input: &mut CdrReader, array_frame: &str, form: DetectionForm) -> Result<Object, CdrError> {
     let (_, frame) = input.header()?;
-    let (mut class, mut score) = (String::new(), 1.0);
+    let (mut class, mut score) = (String::new(), 1.0_f64);
     for place in 0..input.length(12)? {
         let name = match form.has_numbers {
             true => (input.u64()? as i64).to_string(),
