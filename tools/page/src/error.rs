@@ -26,24 +26,8 @@ pub enum PageError {
     #[error(transparent)]
     Protocol(#[from] ProtocolError),
     /// Runs over one log that were scored by different rules.
-    #[error(
-        "{first} was scored by the protocol `{first_protocol}`, {second} by `{second_protocol}`, both over the log `{log}` with \
-         the ego `{ego}`; expected one protocol; make a report for each"
-    )]
-    Protocols {
-        /// The first run.
-        first: String,
-        /// Its protocol.
-        first_protocol: String,
-        /// The other run.
-        second: String,
-        /// Its protocol.
-        second_protocol: String,
-        /// The log of both.
-        log: String,
-        /// The ego of both.
-        ego: String,
-    },
+    #[error(transparent)]
+    Protocols(Box<DifferentProtocols>),
     /// More than a page may hold, though no sweep is left in the player.
     #[error(
         "the tables and charts of {runs} runs take {bytes} bytes, a page may have {most}; name fewer runs, or pool them"
@@ -59,4 +43,25 @@ pub enum PageError {
     /// The document cannot be written.
     #[error("the document of the page cannot be written: {0}")]
     Json(#[from] serde_json::Error),
+}
+
+/// Two runs over one log with one ego that were scored by different rules.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "{first} was scored by the protocol `{first_protocol}`, {second} by `{second_protocol}`, both over the log `{log}` with \
+     the ego `{ego}`; expected one protocol; make a report for each"
+)]
+pub struct DifferentProtocols {
+    /// The first run.
+    pub first: String,
+    /// Its protocol.
+    pub first_protocol: String,
+    /// The other run.
+    pub second: String,
+    /// Its protocol.
+    pub second_protocol: String,
+    /// The log of both.
+    pub log: String,
+    /// The ego of both.
+    pub ego: String,
 }

@@ -28,7 +28,7 @@ use std::path::PathBuf;
 use realo_report::differences;
 use realo_results::{Run, read_run};
 
-pub use error::PageError;
+pub use error::{DifferentProtocols, PageError};
 pub use html::html;
 
 use document::{Document, RunPart};

@@ -19,7 +19,7 @@ use serde::Serialize;
 
 use crate::judged::{Judged, is_known, labelled};
 use crate::recorded::{Recorded, Sweep};
-use crate::{PageError, Request};
+use crate::{DifferentProtocols, PageError, Request};
 
 const MILLI: Nanos = 1_000_000;
 /// Messages of one recording that are on the page, at most; those that were not used go first.
@@ -451,7 +451,7 @@ impl ScenePart {
         if *protocol == self.rules {
             return Ok(());
         }
-        Err(PageError::Protocols {
+        Err(PageError::Protocols(Box::new(DifferentProtocols {
             first: self.first_run.clone(),
             first_protocol: self.rules.name.clone(),
             second: run.into(),
@@ -461,7 +461,7 @@ impl ScenePart {
             },
             log: self.log.clone(),
             ego: self.ego.clone(),
-        })
+        })))
     }
 
     /// The place of an agent, ego first.
