@@ -102,7 +102,8 @@ impl Intake {
         {
             books.receivers.insert(to.to_string());
         }
-        match self.inputs[port.0].join {
+        // A part without partners is a set by itself, whatever came before it.
+        match self.inputs[port.0].join.filter(|group| self.members(group).len() > 1) {
             None => {
                 let ready = message.header.ready;
                 self.enqueue(
@@ -354,6 +355,16 @@ mod tests {
         );
         let gone: Vec<(Name, u64)> = intake.take_skipped().iter().map(of).collect();
         assert_eq!(gone, [("x".into(), 1), ("x".into(), 1), ("y".into(), 1)]);
+    }
+
+    #[test]
+    fn a_part_whose_partners_are_not_wired_waits_for_none_and_may_come_late() {
+        let (mut intake, x) = (Intake::new(PORTS, vec![true, false, true, true]), Name::from("x"));
+        for seq in [2, 1] {
+            intake.offer(&x, PortId(0), message("x", seq)).unwrap();
+            assert_eq!(seqs(intake.next("x").unwrap()), [(0, seq)]);
+        }
+        assert_eq!(intake.books()["a"].unjoined.total(), 0);
     }
 
     #[test]
