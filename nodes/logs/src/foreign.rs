@@ -52,7 +52,10 @@ pub(crate) fn not_mcap(path: &Path, head: &[u8]) -> String {
 
 /// How a bag becomes a log.
 fn imported(path: &Path) -> String {
-    format!("`realo-lab import bag {} -o LOG` makes a log of it", path.display())
+    format!(
+        "`realo-lab import bag {} -o LOG` makes a log of it; topics of other types: {GUIDE}",
+        path.display()
+    )
 }
 
 fn sqlite(path: &Path) -> String {

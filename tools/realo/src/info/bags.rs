@@ -4,13 +4,13 @@ use std::fs::File;
 use std::io::Write;
 use std::path::{Path, PathBuf};
 
-use eyre::{Result, WrapErr};
+use eyre::{Report, Result, WrapErr, eyre};
 use realo_bags::{Draft, Survey, open, survey};
 
 /// Prints what bags hold, and a draft of the map file by which they become a log; says whether something of them is missing.
 pub fn describe(paths: &[&PathBuf], json: bool, map: Option<&Path>) -> Result<bool> {
-    let surveyed = paths.iter().map(|path| survey(open(path)?.as_ref()));
-    let surveys: Vec<Survey> = surveyed.collect::<Result<_, _>>()?;
+    let surveyed = |path: &&PathBuf| read(path).map_err(|error| with_what_is_known(path, &error));
+    let surveys: Vec<Survey> = paths.iter().map(surveyed).collect::<Result<_>>()?;
     for survey in &surveys {
         match json {
             true => println!("{}", serde_json::to_string_pretty(survey)?),
@@ -33,4 +33,16 @@ pub fn describe(paths: &[&PathBuf], json: bool, map: Option<&Path>) -> Result<bo
         (Err(reason), None) => eprintln!("realo: no map file can be drafted: {reason}"),
     }
     Ok(surveys.iter().any(|survey| !survey.notes.is_empty()))
+}
+
+fn read(path: &Path) -> Result<Survey> {
+    Ok(survey(open(path)?.as_ref())?)
+}
+
+/// Of a bag that cannot be read: beside the reason what its folder says of it.
+fn with_what_is_known(path: &Path, error: &Report) -> Report {
+    match realo_logs::describe_any(path) {
+        Ok(_) => eyre!("{error:#}"),
+        Err(known) => eyre!("{error:#}\n{known}"),
+    }
 }
