@@ -180,7 +180,7 @@ mod tests {
         let page = page().unwrap();
         for row in [
             "\n## nms\n\nOperator. Drops ",
-            "| in `proposals` | Boxes | Detections in any order, one frame (latest) |",
+            "| in `proposals` | Boxes | Detections in any order, one frame (latest, joined: frame) |",
             "| `threshold` | `0.15` | 0 to 1 | ",
             "| `suppressed_boxes` | ",
             "(role `model`) |",

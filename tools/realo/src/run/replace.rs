@@ -175,7 +175,7 @@ mod tests {
             ("fusion.fusion=operator fusion-boxs", "fusion-boxes"),
             (
                 "fusion.fusion=operator nms threshold=0.2",
-                "port `ego`: expected an input of `nms`: proposals",
+                "port `ego`: expected an input of `nms`: fill, proposals",
             ),
             (
                 "fusion.fusion=operator nms",
