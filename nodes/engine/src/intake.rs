@@ -40,7 +40,8 @@ struct Partial {
 /// The waiting room of one stage.
 pub(crate) struct Intake {
     inputs: &'static [Port],
-    wired: Vec<bool>,
+    /// By input: the group in which it is assembled with other wired inputs. A part without partners is a set by itself.
+    joins: Vec<Option<&'static str>>,
     books: BTreeMap<&'static str, InputBooks>,
     partial: BTreeMap<(&'static str, Name), Partial>,
     /// By server; in order of start.
@@ -54,16 +55,17 @@ pub(crate) struct Intake {
 impl Intake {
     /// `wired`: whether the graph feeds each input; unwired ports of a join group are not waited for.
     pub fn new(inputs: &'static [Port], wired: Vec<bool>) -> Self {
+        let fed = || inputs.iter().zip(&wired).filter(|(_, w)| **w).map(|(port, _)| port);
+        let is_joined = |group: &&'static str| fed().filter(|port| port.join == Some(*group)).count() > 1;
+        let joins = inputs
+            .iter()
+            .zip(&wired)
+            .map(|(port, wired)| port.join.filter(|_| *wired).filter(is_joined));
         Intake {
             inputs,
-            books: inputs
-                .iter()
-                .zip(&wired)
-                .filter(|(_, w)| **w)
-                .map(|(port, _)| (port.name, books_of(port)))
-                .collect(),
+            joins: joins.collect(),
+            books: fed().map(|port| (port.name, books_of(port))).collect(),
             held: vec![0; inputs.len()],
-            wired,
             partial: BTreeMap::new(),
             waiting: BTreeMap::new(),
             arrivals: 0,
@@ -102,8 +104,7 @@ impl Intake {
         {
             books.receivers.insert(to.to_string());
         }
-        // A part without partners is a set by itself, whatever came before it.
-        match self.inputs[port.0].join.filter(|group| self.members(group).len() > 1) {
+        match self.joins[port.0] {
             None => {
                 let ready = message.header.ready;
                 self.enqueue(
@@ -151,8 +152,8 @@ impl Intake {
     }
 
     fn members(&self, group: &str) -> Vec<PortId> {
-        let wired = |port: &usize| self.wired[*port] && self.inputs[*port].join == Some(group);
-        (0..self.inputs.len()).filter(wired).map(PortId).collect()
+        let is_member = |port: &usize| self.joins[*port] == Some(group);
+        (0..self.inputs.len()).filter(is_member).map(PortId).collect()
     }
 
     fn parts_of(&self, group: &str, parts: Vec<Option<Message>>) -> Vec<(PortId, Message)> {

@@ -220,7 +220,7 @@ mod tests {
             (b"\x28\xb5\x2f\xfd\x04", ["zstd", "`zstd -d a/b.mcap`"]),
             (b"\x1f\x8b\x08", ["gzip", "gunzip"]),
             (b"SQLite format 3\0", ["SQLite", "realo-lab import bag a/b.mcap"]),
-            (b"#ROSBAG V2.0\n", ["ROS 1", "realo-lab import bag a/b.mcap"]),
+            (b"#ROSBAG V2.0\n", ["ROS 1", "python/realo_log.py"]),
             (b"", ["empty", "copy"]),
             (b"hello", ["found [68, 65, 6c, 6c, 6f]", "docs/reference/log-format.md"]),
         ] {
@@ -245,6 +245,7 @@ mod tests {
             "files: bag_0.mcap, bag_1.db3)",
             "/imu (sensor_msgs/msg/Imu), /points (sensor_msgs/msg/PointCloud2);",
             "realo-lab import bag",
+            "docs/reference/log-format.md",
         ] {
             assert!(found.contains(part), "{found}");
         }

@@ -55,8 +55,8 @@ pub enum NmsError {
 pub struct Nms {
     settings: Settings,
     region: Option<Region>,
-    /// What came to fill gaps of the next frame.
-    fill: Option<(Header, Boxes)>,
+    /// What fills gaps of the frame that comes next.
+    fill: Boxes,
 }
 
 const INVALID_BOXES: Counter = Counter::loss(
@@ -103,23 +103,19 @@ impl Operator for Nms {
         Ok(Nms {
             settings,
             region,
-            fill: None,
+            fill: Boxes::default(),
         })
     }
 
     fn on_input(&mut self, input: Input, out: &mut Outputs<Output>) -> Result<(), Error> {
         let (header, Boxes(boxes)) = match input {
-            Input::Fill(header, boxes) => {
-                self.fill = Some((header, boxes));
+            Input::Fill(_, boxes) => {
+                self.fill = boxes;
                 return Ok(());
             }
             Input::Proposals(header, boxes) => (header, boxes),
         };
-        let fill = self
-            .fill
-            .take()
-            .filter(|(of, _)| (&of.agent, of.seq) == (&header.agent, header.seq));
-        let Boxes(fill) = fill.map(|(_, boxes)| boxes).unwrap_or_default();
+        let Boxes(fill) = std::mem::take(&mut self.fill);
         let outcome = nms_filled(&boxes, &fill, &self.settings, self.region.as_ref());
         let (agent, all) = (header.agent.clone(), (boxes.len() + fill.len()) as u64);
         out.count_of(&INVALID_BOXES, &agent, outcome.invalid, all);
@@ -322,11 +318,10 @@ mod tests {
         .unwrap();
         let proposals = [car(0.0, 0.0, 0.3), car(60.0, 0.0, 0.2)];
         let fill = [car(0.5, 0.0, 0.9), car(30.0, 0.0, 0.8), car(30.2, 0.0, 0.7)];
-        let mut run = |fill: Option<(u64, &[Box3])>| {
+        let mut run = |fill: Option<&[Box3]>| {
             let mut out = Outputs::at(1000);
-            if let Some((seq, fill)) = fill {
-                let header = Header { seq, ..header() };
-                let message = Message::new(header, Boxes(fill.to_vec()));
+            if let Some(fill) = fill {
+                let message = Message::new(header(), Boxes(fill.to_vec()));
                 operator.on_message(Input::FILL, message, &mut out).unwrap();
             }
             let message = Message::new(header(), Boxes(proposals.to_vec()));
@@ -335,12 +330,10 @@ mod tests {
             kept
         };
         assert_eq!(
-            run(Some((7, &fill))),
+            run(Some(&fill)),
             [fill[1].clone(), proposals[0].clone(), proposals[1].clone()]
         );
         assert_eq!(run(None), proposals);
-        // Of another frame.
-        assert_eq!(run(Some((6, &fill))), proposals);
     }
 
     #[test]

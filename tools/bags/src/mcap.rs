@@ -3,14 +3,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use realo_logs::{McapFile, RECORDING_RECORD};
+use realo_logs::{LOG_RECORD, McapFile, RECORDING_RECORD};
 use realo_schemas::Nanos;
 
 use crate::source::{believed, plain_kind};
 use crate::{Bag, BagError, Connection, Encoding, Message, Messages};
-
-/// Name of the metadata record of a log of realo.
-const LOG_RECORD: &str = "realo";
 
 /// An open MCAP file.
 pub(crate) struct Mcap {

@@ -10,6 +10,7 @@ mod emulate;
 mod export;
 mod import;
 pub mod measure;
+mod option;
 mod paper;
 mod quantize;
 mod score;

@@ -41,9 +41,8 @@ pub struct Recorded {
 const MOST_FATES: usize = 200_000;
 
 impl Recorded {
-    /// Reads a recording and keeps so many sweeps at most: all, or every 2nd, 4th, 8th …
-    pub fn read(recording: &Path, ego: &str, most: usize) -> Result<Self, PageError> {
-        let mut recorded = Recorded {
+    fn empty() -> Self {
+        Recorded {
             sweeps: BTreeMap::new(),
             stride: 1,
             total: 0,
@@ -51,7 +50,12 @@ impl Recorded {
             fates_cut: 0,
             unreadable: 0,
             poses: BTreeMap::new(),
-        };
+        }
+    }
+
+    /// Reads a recording and keeps so many sweeps at most: all, or every 2nd, 4th, 8th …
+    pub fn read(recording: &Path, ego: &str, most: usize) -> Result<Self, PageError> {
+        let mut recorded = Recorded::empty();
         let mut numbers = std::collections::BTreeSet::new();
         for message in truth_of(recording)? {
             let part = message?.into_parts::<GroundTruth>()?;
@@ -160,15 +164,7 @@ mod tests {
 
     #[test]
     fn a_long_recording_keeps_every_second_fourth_eighth_sweep() {
-        let mut recorded = Recorded {
-            sweeps: BTreeMap::new(),
-            stride: 1,
-            total: 0,
-            fates: Vec::new(),
-            fates_cut: 0,
-            unreadable: 0,
-            poses: BTreeMap::new(),
-        };
+        let mut recorded = Recorded::empty();
         (0..1000).for_each(|seq| {
             recorded.kept(seq, 100);
         });

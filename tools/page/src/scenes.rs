@@ -599,16 +599,16 @@ impl ScenePart {
             *at += 1;
             is_kept(*at - 1, keep, all)
         });
-        let kept: Vec<_> = kept.collect();
+        // By sender and kind: the sweeps that used its messages, for those that none used.
+        let mut times: BTreeMap<(usize, i64), Vec<(u64, i64)>> = BTreeMap::new();
+        for ((agent, kind, seq), (_, query)) in &ends {
+            if let Some(frame) = query.and_then(|query| self.frames.get(&query)) {
+                times.entry((*agent, *kind)).or_default().push((*seq, frame.t));
+            }
+        }
         for ((agent, kind, seq), (fate, query)) in kept {
             let t = query.and_then(|query| self.frames.get(&query)).map(|frame| frame.t);
-            let t = t.or_else(|| {
-                let of_sender = (*agent, *kind, 0)..=(*agent, *kind, u64::MAX);
-                let used = ends
-                    .range(of_sender)
-                    .filter_map(|((.., seq), (_, query))| Some((*seq, self.frames.get(&(*query)?)?.t)));
-                placed(*seq, used)
-            });
+            let t = t.or_else(|| placed(*seq, times.get(&(*agent, *kind))?));
             let number = Fate::ALL.iter().position(|known| known == fate).unwrap_or(0);
             run.messages
                 .push([*agent as i64, *kind, *seq as i64, number as i64, t.unwrap_or(-1)]);
@@ -623,8 +623,7 @@ fn is_kept(at: usize, keep: usize, all: usize) -> bool {
 }
 
 /// The time of a message by those of its sender before and after it, ms; `None` with fewer than two.
-fn placed(seq: u64, used: impl Iterator<Item = (u64, i64)>) -> Option<i64> {
-    let used: Vec<(u64, i64)> = used.collect();
+fn placed(seq: u64, used: &[(u64, i64)]) -> Option<i64> {
     if used.len() < 2 {
         return None;
     }
@@ -672,11 +671,11 @@ mod tests {
     #[test]
     fn a_message_is_placed_between_its_neighbours() {
         let used = [(10, 1000), (12, 1200), (20, 2000)];
-        let at = |seq| placed(seq, used.into_iter());
+        let at = |seq| placed(seq, &used);
         assert_eq!(
             [10, 11, 15, 20, 22, 8].map(at),
             [1000, 1100, 1500, 2000, 2200, 800].map(Some)
         );
-        assert_eq!(placed(3, [(1, 5)].into_iter()), None);
+        assert_eq!(placed(3, &[(1, 5)]), None);
     }
 }

@@ -122,31 +122,27 @@ dispatch! {
             for (block, factors) in factors.iter().enumerate() {
                 let scores = &scores[block * cells..][..cells];
                 let asking = (cells - block * LANES).min(LANES);
-                let at = |lane: usize, from: usize| {
-                    (first + offsets[block * LANES + lane]) * stored + head * head_width + from
-                };
-                let wide = head_width - head_width % WIDE;
-                for lane in 0..asking {
-                    for from in (0..wide).step_by(WIDE) {
-                        let made = mean(scores, lane, |cell| &of(2, cell)[from..]);
-                        let to = &mut to[at(lane, from)..][..WIDE];
-                        to.iter_mut().zip(made).for_each(|(to, value)| *to = E::from_f32(value * factors[lane]));
-                    }
-                }
-                // Of narrow heads, all who ask at once.
-                let mut from = wide;
+                let mut from = 0;
                 while from < head_width {
                     let values = |cell| &of(2, cell)[from..];
-                    let mut write = |made: &[Lanes]| {
-                        for lane in 0..asking {
-                            let to = &mut to[at(lane, from)..][..made.len()];
-                            to.iter_mut().zip(made).for_each(|(to, made)| *to = E::from_f32(made[lane] * factors[lane]));
-                        }
-                        made.len()
+                    let mut write = |lane: usize, made: &[f32]| {
+                        let at = (first + offsets[block * LANES + lane]) * stored + head * head_width + from;
+                        let to = to[at..at + made.len()].iter_mut().zip(made);
+                        to.for_each(|(to, value)| *to = E::from_f32(value * factors[lane]));
                     };
                     from += match head_width - from {
-                        NARROW.. => write(&means::<NARROW>(scores, values)),
-                        _ => write(&means::<1>(scores, values)),
+                        64.. => each::<64>(asking, |lane| mean(scores, lane, values), &mut write),
+                        32.. => each::<32>(asking, |lane| mean(scores, lane, values), &mut write),
+                        16.. => each::<16>(asking, |lane| mean(scores, lane, values), &mut write),
+                        // Of narrow heads, for all who ask at once.
+                        4.. => {
+                            let made = means::<4>(scores, values);
+                            each(asking, |lane| made.map(|lanes| lanes[lane]), &mut write)
+                        }
+                        _ => {
+                            let made = means::<1>(scores, values);
+                            each(asking, |lane| made.map(|lanes| lanes[lane]), &mut write)
+                        }
                     };
                 }
             }
@@ -186,18 +182,25 @@ pub fn weights(scores: &mut [Lanes], positions: &[Lanes]) -> Lanes {
     sums.map(|sum| 1.0 / sum)
 }
 
-/// Channels whose weighed values one who asks has at a time, and all who ask.
-const WIDE: usize = 16;
-const NARROW: usize = 4;
-
-/// Values, weighed by the scores of a lane.
+/// Writes what some channels make for each who asks; how many channels.
 #[inline(always)]
-fn mean<'a>(scores: &[Lanes], lane: usize, value: impl Fn(usize) -> &'a [f32]) -> [f32; WIDE] {
-    let mut sums = [0.0; WIDE];
+fn each<const D: usize>(
+    asking: usize,
+    made: impl Fn(usize) -> [f32; D],
+    write: &mut impl FnMut(usize, &[f32]),
+) -> usize {
+    (0..asking).for_each(|lane| write(lane, &made(lane)));
+    D
+}
+
+/// Values of some channels, weighed by the scores of a lane.
+#[inline(always)]
+fn mean<'a, const D: usize>(scores: &[Lanes], lane: usize, value: impl Fn(usize) -> &'a [f32]) -> [f32; D] {
+    let mut sums = [0.0; D];
     for (cell, scores) in scores.iter().enumerate() {
         let score = scores[lane];
         sums.iter_mut()
-            .zip(&value(cell)[..WIDE])
+            .zip(&value(cell)[..D])
             .for_each(|(sum, value)| *sum += value * score);
     }
     sums

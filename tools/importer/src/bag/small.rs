@@ -1,15 +1,15 @@
 //! All messages but the clouds, and how the first clouds are to be read.
 
 use std::collections::{BTreeMap, BTreeSet, HashMap};
+use std::hash::{DefaultHasher, Hash, Hasher};
 
-use realo_bags::map_file::StampClock;
 use realo_bags::messages::{self, Attitude, Fix, Kind, Objects, Pose};
 use realo_bags::{Bag, Connection, Message, is_static};
 use realo_logs::Frames;
 use realo_schemas::Nanos;
 
 use super::agents::{Agent, Topic};
-use super::heads::{Heads, heads};
+use super::heads::{Heads, heads, stamp_of};
 use super::{Counted, Import};
 use crate::ImportError;
 
@@ -147,10 +147,7 @@ impl Small {
         }
         let begin = || connection.reader(data);
         let clock = import.map.clock;
-        let stamped = |stamp: Nanos| match clock {
-            StampClock::Header if stamp != 0 => stamp,
-            _ => message.log_time,
-        };
+        let stamped = |stamp: Nanos| stamp_of(clock, stamp, message.log_time);
         let Some(kind) = Kind::named(&connection.kind) else {
             return Ok(());
         };
@@ -226,10 +223,8 @@ impl Small {
     }
 }
 
-/// FNV-1a of 64 bits.
 fn hash(topic: &str, data: &[u8]) -> u64 {
-    let bytes = topic.bytes().chain([0]).chain(data.iter().copied());
-    bytes.fold(0xcbf2_9ce4_8422_2325, |hash, byte| {
-        (hash ^ u64::from(byte)).wrapping_mul(0x0100_0000_01b3)
-    })
+    let mut hasher = DefaultHasher::new();
+    (topic, data).hash(&mut hasher);
+    hasher.finish()
 }

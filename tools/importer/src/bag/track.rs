@@ -70,18 +70,21 @@ impl Track {
 
     /// Whether poses are too far apart for a run, so that each sweep needs one of its own.
     pub fn is_sparse(&self) -> bool {
+        self.is_fixed || self.step().is_none_or(|step| step > SPARSE)
+    }
+
+    /// Median time from a pose to the next, ns; `None` with fewer than two.
+    fn step(&self) -> Option<Nanos> {
         let mut steps: Vec<Nanos> = self.poses.array_windows().map(|[(a, ..), (b, ..)]| b - a).collect();
         steps.sort_unstable();
-        self.is_fixed || steps.get(steps.len() / 2).is_none_or(|step| *step > SPARSE)
+        steps.get(steps.len() / 2).copied()
     }
 
     /// Median time between poses, in words.
     pub fn step_words(&self) -> String {
-        let mut steps: Vec<Nanos> = self.poses.array_windows().map(|[(a, ..), (b, ..)]| b - a).collect();
-        steps.sort_unstable();
-        match steps.get(steps.len() / 2) {
-            Some(step) if *step > SPARSE => {
-                format!(", {:.0} ms apart and interpolated at the sweeps", to_millis(*step))
+        match self.step() {
+            Some(step) if step > SPARSE => {
+                format!(", {:.0} ms apart and interpolated at the sweeps", to_millis(step))
             }
             _ => String::new(),
         }
@@ -104,7 +107,7 @@ pub fn origin(import: &Import, small: &Small) -> Result<Option<[f64; 3]>, Import
 /// The poses of an agent.
 ///
 /// # Errors
-/// None, in words that say what is there instead.
+/// No pose is there, or none leads to the world: what is there instead.
 pub fn track(
     import: &Import,
     small: &Small,

@@ -2,10 +2,11 @@
 
 use std::path::PathBuf;
 
-use clap::builder::PossibleValuesParser;
 use clap::{Arg, ArgAction, ArgMatches, Command, Error, FromArgMatches, Subcommand, value_parser};
 use eyre::Result;
-use realo_exporter::{Exporter, KINDS, Kind, OptionInfo, Options, exporter, option_info};
+use realo_exporter::{Exporter, KINDS, Kind, Options, exporter, option_info};
+
+use crate::option;
 
 /// What was asked of a kind.
 pub struct KindArgs {
@@ -47,24 +48,17 @@ fn command(kind: &'static Kind) -> Command {
         );
     let options = kind.options.iter();
     let options = options.filter_map(|(name, default)| Some((option_info(name)?, *default)));
-    let command = options.fold(command, |command, (info, default)| command.arg(arg(info, default)));
+    let command = options.fold(command, |command, (info, default)| {
+        command.arg(option::arg(
+            info.name,
+            info.help,
+            Some(info.value),
+            info.choices,
+            default,
+        ))
+    });
     let force = Arg::new("force").long("force").action(ArgAction::SetTrue);
     command.arg(force.help("Replace an earlier export; what another program wrote is never replaced"))
-}
-
-fn arg(info: &'static OptionInfo, default: &'static str) -> Arg {
-    let arg = Arg::new(info.name)
-        .long(info.name)
-        .help(info.help)
-        .value_name(info.value);
-    let arg = match info.choices {
-        [] => arg.allow_hyphen_values(true),
-        choices => arg.value_parser(PossibleValuesParser::new(choices.iter().copied())),
-    };
-    match default {
-        "" => arg,
-        default => arg.default_value(default),
-    }
 }
 
 impl Subcommand for KindArgs {

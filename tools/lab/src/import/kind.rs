@@ -2,11 +2,12 @@
 
 use std::path::PathBuf;
 
-use clap::builder::PossibleValuesParser;
-use clap::{Arg, ArgAction, ArgMatches, Args as _, Command, Error, FromArgMatches, Subcommand, value_parser};
+use clap::{Arg, ArgMatches, Args as _, Command, Error, FromArgMatches, Subcommand, value_parser};
 use eyre::Result;
 use realo_cli::Force;
-use realo_importer::{Importer, KINDS, Kind, OptionInfo, Options, importer, option_info};
+use realo_importer::{Importer, KINDS, Kind, Options, importer, option_info};
+
+use crate::option;
 
 /// What was asked of a kind.
 pub struct KindArgs {
@@ -62,25 +63,11 @@ fn command(kind: &'static Kind) -> Command {
         .options
         .iter()
         .filter_map(|(name, default)| Some((option_info(name)?, *default)));
-    let command = options.fold(command, |command, (info, default)| command.arg(arg(info, default)));
+    let command = options.fold(command, |command, (info, default)| {
+        command.arg(option::arg(info.name, info.help, info.value, info.choices, default))
+    });
     // Arguments of a struct bring its text along.
     Force::augment_args(command).about(kind.title).long_about(None)
-}
-
-fn arg(info: &'static OptionInfo, default: &'static str) -> Arg {
-    let arg = Arg::new(info.name).long(info.name).help(info.help);
-    let Some(value) = info.value else {
-        return arg.action(ArgAction::SetTrue);
-    };
-    let arg = arg.value_name(value).allow_hyphen_values(true);
-    let arg = match info.choices {
-        [] => arg,
-        choices => arg.value_parser(PossibleValuesParser::new(choices.iter().copied())),
-    };
-    match default {
-        "" => arg,
-        default => arg.default_value(default),
-    }
 }
 
 impl Subcommand for KindArgs {
