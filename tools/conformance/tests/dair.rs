@@ -8,7 +8,7 @@ use nalgebra::{Isometry3, Matrix3, Point3, Rotation3, Translation3, UnitQuaterni
 use realo_evaluator::Evaluator;
 use realo_fusion_boxes::FusionBoxes;
 use realo_nms::Nms;
-use realo_operator::{Describe, Operator, Outputs, PortId};
+use realo_operator::{Describe, Operator, Outputs, PortId, StageInputs};
 use realo_schemas::report::from_report;
 use realo_schemas::{Box3, Boxes, GroundTruth, Header, Kind, Message, Name, Payload, Pose, Report, Selection};
 use realo_scoring::{Evaluation, EvaluationReport, frame_scores};
@@ -156,8 +156,9 @@ fn configured<O: Operator>(args: &[&str]) -> O {
     O::new(realo_operator::config::parse::<<O as Describe>::Settings>(&args).unwrap()).unwrap()
 }
 
-/// Hands a message to an operator and returns what it sends on its first output.
-fn through(operator: &mut impl Operator, port: usize, message: Message) -> Option<Message> {
+/// Hands a message to an input of an operator and returns what it sends on its first output.
+fn through<O: Operator>(operator: &mut O, input: &str, message: Message) -> Option<Message> {
+    let port = O::Input::PORTS.iter().position(|port| port.name == input).unwrap();
     let mut out = Outputs::at(message.header.ready);
     operator.on_message(PortId(port), message, &mut out).unwrap();
     out.take_sent()
@@ -193,7 +194,7 @@ fn late_fusion(pairs: &[Pair], who: Who) -> Evaluation {
         } else {
             pair.vehicle.clone()
         };
-        let own = through(&mut ego_nms, 0, Message::new(ego.clone(), Boxes(own))).unwrap();
+        let own = through(&mut ego_nms, "proposals", Message::new(ego.clone(), Boxes(own))).unwrap();
         let other = Message::new(
             header("roadside", Kind::Boxes, seq, &pair.map_from_roadside),
             Boxes(pair.roadside.clone()),
@@ -201,11 +202,11 @@ fn late_fusion(pairs: &[Pair], who: Who) -> Evaluation {
         let entries = if who == Who::Vehicle {
             vec![]
         } else {
-            vec![through(&mut nms, 0, other).unwrap()]
+            vec![through(&mut nms, "proposals", other).unwrap()]
         };
-        assert!(through(&mut fusion, 0, own).is_none());
-        let fused = through(&mut fusion, 1, Message::new(ego, Selection { query: seq, entries })).unwrap();
-        let boxes = through(&mut joint_nms, 0, fused).unwrap();
+        assert!(through(&mut fusion, "ego", own).is_none());
+        let fused = through(&mut fusion, "selections", Message::new(ego, Selection { query: seq, entries })).unwrap();
+        let boxes = through(&mut joint_nms, "proposals", fused).unwrap();
         let truth = GroundTruth {
             boxes: pair.truth.clone(),
             agents: vec![Name::from("vehicle"), Name::from("roadside")],
@@ -215,8 +216,8 @@ fn late_fusion(pairs: &[Pair], who: Who) -> Evaluation {
             ..GroundTruth::default()
         };
         let truth_header = header("vehicle", Kind::Truth, seq, &pair.map_from_vehicle);
-        assert!(through(&mut evaluator, 0, Message::new(truth_header, truth)).is_none());
-        assert!(through(&mut evaluator, 1, boxes).is_none());
+        assert!(through(&mut evaluator, "truth", Message::new(truth_header, truth)).is_none());
+        assert!(through(&mut evaluator, "boxes", boxes).is_none());
     }
     let mut out = Outputs::at(0);
     evaluator.on_end(&mut out).unwrap();
