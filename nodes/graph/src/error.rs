@@ -104,7 +104,7 @@ pub enum GraphError {
     Setting(String),
     /// A replacement that is not of the form `STAGE=program PATH key=value`.
     #[error(
-        "replacement `{0}`: expected `STAGE=program PATH key=value …` or `STAGE=operator NAME key=value …`, found {1}"
+        "replacement `{0}`: expected `STAGE=program PATH key=value …` or `STAGE=operator NAME key=value …`, or the same for STAGE.INPUT, found {1}"
     )]
     Replacement(String, String),
     /// `--recorded-detections` for a graph that does not detect.

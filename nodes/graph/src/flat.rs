@@ -333,6 +333,9 @@ pub(super) const STAGE: &str = ":stage";
 /// What names, among the settings of its host, the stage whose inputs a stage takes.
 pub(super) const TAKES: &str = ":takes";
 
+/// What puts, among the settings of its host, a new stage before an input of another: `STAGE.PORT INPUT OUTPUT`.
+pub(super) const BEFORE: &str = ":before";
+
 /// Changes or adds `key=value` among the words of a command line.
 pub(super) fn set_argument(words: &mut Vec<String>, key: &str, value: &str) {
     let argument = format!("{key}={value}");

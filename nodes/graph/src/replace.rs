@@ -1,24 +1,28 @@
-//! Another stage in the place of one of a graph, wherever the stage is written.
+//! Another stage in the place of one of a graph, or a new one before an input, wherever the stage is written.
 
 use std::collections::BTreeSet;
+use std::path::Path;
 use std::str::FromStr;
 
 use realo_documents::shown;
 
-use super::flat::{STAGE, TAKES, set_argument};
-use super::{FlatGraph, FlatNode, GraphError, Input};
+use super::flat::{BEFORE, STAGE, TAKES, set_argument};
+use super::{FlatGraph, FlatNode, GraphError, Input, InputSource};
 
 /// `STAGE=program PATH key=value …` or `STAGE=operator NAME key=value …`.
 ///
 /// Several stages in a row, joined by `+`, give way to one: it takes the inputs of the first and has the outputs of the
 /// last. Several places, joined by `,`, get the same stage: `ego.encoder+head,others.encoder+head=program detector.py`.
-/// Behind a `+` the module's name may be left out.
+/// Behind a `+` the module's name may be left out. `STAGE.INPUT=…` puts a new stage before an input of one: it takes what
+/// the input took, and is named as its operator or program in the module of that stage.
 #[derive(Clone, Debug, PartialEq, Eq)]
 pub struct Replacement {
     /// Ids of the stages, as written, by place.
     pub places: Vec<Vec<String>>,
     /// `program` or `operator`, the path or name, and the arguments.
     pub words: Vec<String>,
+    /// Names of the input and the output of a stage that is put before an input; `None`: both are that input's.
+    pub ports: Option<[String; 2]>,
 }
 
 impl FromStr for Replacement {
@@ -39,7 +43,11 @@ impl FromStr for Replacement {
             [word, _, arguments @ ..] if word == "program" || word == "operator" => {
                 match arguments.iter().find(|argument| !argument.contains('=')) {
                     Some(argument) => Err(wrong(&format!("`{}` is not of the form key=value", shown(argument)))),
-                    None => Ok(Replacement { places, words }),
+                    None => Ok(Replacement {
+                        places,
+                        words,
+                        ports: None,
+                    }),
                 }
             }
             [] => Err(wrong("nothing behind `=`")),
@@ -64,10 +72,86 @@ impl FlatGraph {
     pub fn replace(&mut self, replacement: &Replacement) -> Result<Vec<String>, GraphError> {
         let mut replaced = Vec::new();
         for place in &replacement.places {
+            if let Some((taker, port)) = self.input_of(place) {
+                replaced.push(self.put_before(&taker, &port, replacement)?);
+                continue;
+            }
             let chain = self.chain(place)?;
             replaced.extend(self.put(&chain, &replacement.words));
         }
         Ok(replaced)
+    }
+
+    /// The stage and its input that a place names, if it names one and no stage.
+    pub fn input_of(&self, place: &[String]) -> Option<(String, String)> {
+        let [place] = place else { return None };
+        let (taker, port) = place.rsplit_once('.').filter(|_| self.node(place).is_none())?;
+        let is_wired = self.node(taker)?.inputs.contains_key(port);
+        is_wired.then(|| (taker.into(), port.into()))
+    }
+
+    /// Puts a new stage before an input; gives its id.
+    fn put_before(&mut self, taker: &str, port: &str, replacement: &Replacement) -> Result<String, GraphError> {
+        let wrong = |reason: String| GraphError::Node {
+            file: self.file.clone(),
+            node: taker.into(),
+            reason,
+        };
+        let (Some(at), words) = (self.nodes.iter().position(|node| node.id == taker), &replacement.words) else {
+            return Err(self.unknown(taker));
+        };
+        let stem = Path::new(&words[1]).file_stem().unwrap_or_default().to_string_lossy();
+        let id = match taker.rsplit_once('.') {
+            Some((module, _)) => format!("{module}.{stem}"),
+            None => stem.into_owned(),
+        };
+        if self.node(&id).is_some() {
+            return Err(wrong(format!(
+                "expected one stage `{id}`, found that the graph has one already"
+            )));
+        }
+        let node = &self.nodes[at];
+        if !node.is_realo() {
+            let path = node.path.display();
+            return Err(wrong(format!(
+                "expected a stage of ours behind what is put before its input, found {path}"
+            )));
+        }
+        let [input, output] = replacement
+            .ports
+            .clone()
+            .unwrap_or_else(|| [port, port].map(String::from));
+        let wire = node.inputs[port].clone();
+        let of = wire
+            .output()
+            .and_then(|(id, output)| self.node(id)?.output_types.get(output));
+        let stage = FlatNode {
+            inputs: [(input.clone(), wire.clone())].into(),
+            outputs: [output.clone()].into(),
+            output_types: of.map(|of| (output.clone(), of.clone())).into_iter().collect(),
+            other: node.other.clone(),
+            env: node.env.clone(),
+            path: node.path.clone(),
+            host: node.host.clone(),
+            ..FlatNode::alone(&id, words, &[])
+        };
+        let host = stage.host.clone();
+        let own = InputSource::Output {
+            node: id.clone(),
+            output: output.clone(),
+        };
+        self.nodes[at].inputs.insert(port.into(), own.into());
+        self.nodes.insert(at, stage);
+        if let Some(process) = self.hosts.iter_mut().find(|process| host.as_ref() == Some(&process.id)) {
+            let [taker, name] = [taker, &id].map(|id| within(process, id));
+            tell(process, &name, words);
+            set_argument(
+                &mut process.args,
+                &format!("{name}.{BEFORE}"),
+                &format!("{taker}.{port} {input} {output}"),
+            );
+        }
+        Ok(id)
     }
 
     /// The stages of a place by their full ids; each takes what the one before it makes.
@@ -127,9 +211,7 @@ impl FlatGraph {
 
 /// Says it to the process that hosts the stage; what its file said of the stage before is forgotten.
 fn retell(process: &mut FlatNode, first: &str, last: &str, words: &[String]) {
-    let prefix = format!("{}.", process.id);
-    let inner = |id: &str| id.strip_prefix(&prefix).unwrap_or(id).to_string();
-    let name = inner(last);
+    let name = within(process, last);
     let is_of_stage = |word: &String| {
         let key = word
             .strip_prefix(&format!("{name}."))
@@ -137,20 +219,29 @@ fn retell(process: &mut FlatNode, first: &str, last: &str, words: &[String]) {
         key.is_some_and(|(key, _)| !key.contains('.'))
     };
     process.args.retain(|word| !is_of_stage(word));
-    // Words that came through a shell's splitting can be joined again; a NUL, which could not, no argument can hold.
-    let Ok(words) = shlex::try_join(words.iter().map(String::as_str)) else {
-        return;
-    };
-    set_argument(&mut process.args, &format!("{name}.{STAGE}"), &words);
+    tell(process, &name, words);
     if first != last {
-        set_argument(&mut process.args, &format!("{name}.{TAKES}"), &inner(first));
+        let first = within(process, first);
+        set_argument(&mut process.args, &format!("{name}.{TAKES}"), &first);
+    }
+}
+
+/// The name of a stage in the process that hosts it.
+fn within(process: &FlatNode, id: &str) -> String {
+    let inner = id.strip_prefix(&process.id).and_then(|rest| rest.strip_prefix('.'));
+    inner.unwrap_or(id).to_string()
+}
+
+/// Says to a process what one of its stages is.
+fn tell(process: &mut FlatNode, name: &str, words: &[String]) {
+    // Words that came through a shell's splitting can be joined again; a NUL, which could not, no argument can hold.
+    if let Ok(words) = shlex::try_join(words.iter().map(String::as_str)) {
+        set_argument(&mut process.args, &format!("{name}.{STAGE}"), &words);
     }
 }
 
 #[cfg(test)]
 mod tests {
-    use std::path::Path;
-
     use super::super::Graph;
     use super::*;
 
@@ -209,6 +300,38 @@ mod tests {
     }
 
     #[test]
+    fn a_new_stage_comes_before_an_input_and_dora_starts_the_same() {
+        let before = shipped("attfuse");
+        let mut replacement: Replacement = "others.sender.messages=operator liar agents=cav2".parse().unwrap();
+        replacement.ports = Some(["messages", "said"].map(String::from));
+        let mut graph = before.clone();
+        assert_eq!(graph.replace(&replacement).unwrap(), ["others.liar"]);
+        graph.set("others.liar", "ghosts", "3").unwrap();
+        for graph in [&graph, &again(&graph)] {
+            assert_eq!(graph.nodes.len(), before.nodes.len() + 1);
+            let liar = graph.node("others.liar").unwrap();
+            assert_eq!(liar.args, ["operator", "liar", "agents=cav2", "ghosts=3"]);
+            assert_eq!(
+                liar.inputs["messages"],
+                before.node("others.sender").unwrap().inputs["messages"]
+            );
+            let sender = &graph.node("others.sender").unwrap().inputs["messages"];
+            assert_eq!(sender.output(), Some(("others.liar", "said")));
+        }
+        let of_own = shipped("late_fusion").apart();
+        let mut graph = of_own.clone();
+        graph
+            .replace(&"fusion.nms.proposals=program /x/filter.py".parse().unwrap())
+            .unwrap();
+        let filter = graph.node("fusion.filter").unwrap();
+        assert_eq!(
+            (filter.host.as_ref(), filter.outputs.contains("proposals")),
+            (None, true)
+        );
+        assert!(graph.to_yaml().unwrap().contains("program /x/filter.py"));
+    }
+
+    #[test]
     fn what_cannot_be_replaced_is_refused_by_name() {
         for (text, expected) in [
             (
@@ -220,6 +343,11 @@ mod tests {
             (
                 "ego.encoder+nms=program x",
                 "expected it to take what `ego.encoder` makes",
+            ),
+            ("fusion.fusion.egos=program x", "no node `fusion.fusion.egos`"),
+            (
+                "fusion.nms.proposals=operator fusion",
+                "expected one stage `fusion.fusion`, found that the graph has one already",
             ),
             ("fusion.fusion=fusion.py", "without the word `program`"),
             ("fusion.fusion=program", "`program` is neither, or has no name"),

@@ -21,7 +21,8 @@ pub struct Args {
     /// Model file of every detector [default: each node's own]
     #[arg(long)]
     model: Option<PathBuf>,
-    /// STAGE="program PATH key=value …" or STAGE="operator NAME …": puts another stage in the place of one first
+    /// STAGE="program PATH key=value …" or STAGE="operator NAME …": puts another stage in the place of one first, or a new
+    /// one before an input of one: STAGE.INPUT="…"
     #[arg(long)]
     replace: Vec<String>,
 }

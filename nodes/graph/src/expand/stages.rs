@@ -33,6 +33,7 @@ pub(super) fn choose(
     outlets: &Outlets,
 ) -> Result<(), String> {
     for setting in settings {
+        put_before(stages, host, setting)?;
         take_inputs(stages, &host.id, setting)?;
     }
     leave_out(stages, outlets);
@@ -110,6 +111,55 @@ fn take_inputs(stages: &mut [Node], host: &str, setting: &str) -> Result<(), Str
     Ok(())
 }
 
+/// Puts a new stage before an input of a hosted one, where a setting says so: `inner.:before=other.port input output`.
+fn put_before(stages: &mut Vec<Node>, host: &Node, setting: &str) -> Result<(), String> {
+    let parts = setting.split_once('=');
+    let before = parts.and_then(|(left, place)| Some((left.rsplit_once('.')?, place)));
+    let Some(((inner, _), place)) = before.filter(|((_, key), _)| *key == flat::BEFORE) else {
+        return Ok(());
+    };
+    let wrong = || {
+        format!(
+            "setting `{}`: expected `STAGE.PORT INPUT OUTPUT` behind `=`",
+            shown(setting)
+        )
+    };
+    let [place, input, output] = place.split(' ').collect::<Vec<&str>>()[..] else {
+        return Err(wrong());
+    };
+    let (taker, port) = place.rsplit_once('.').ok_or_else(wrong)?;
+    let [id, taker_id] = [inner, taker].map(|name| format!("{}.{name}", host.id));
+    if stages.iter().any(|stage| stage.id == id) {
+        return Err(format!(
+            "setting `{}`: there is a stage `{inner}` already",
+            shown(setting)
+        ));
+    }
+    let Some(at) = stages.iter().position(|stage| stage.id == taker_id) else {
+        return Err(no_stage(&shown(setting), taker, &names_within(stages, &host.id)));
+    };
+    let own = Input::from(InputSource::Output {
+        node: id.clone(),
+        output: output.into(),
+    });
+    let Some(wire) = stages[at].inputs.insert(port.into(), own) else {
+        return Err(format!(
+            "setting `{}`: nothing feeds the input `{port}` of `{taker}`",
+            shown(setting)
+        ));
+    };
+    let stage = Node {
+        id,
+        inputs: [(input.to_string(), wire)].into(),
+        outputs: [output.to_string()].into(),
+        output_types: BTreeMap::new(),
+        input_types: BTreeMap::new(),
+        ..stages[at].clone()
+    };
+    stages.insert(at, stage);
+    Ok(())
+}
+
 /// The stages that a host has, by their names in it.
 fn names_within(stages: &[Node], host: &str) -> Vec<String> {
     let within = |stage: &Node| stage.id.strip_prefix(host)?.strip_prefix('.').map(str::to_string);
@@ -141,7 +191,7 @@ pub(super) fn set(stages: &mut [Node], host: &str, setting: &str) -> Result<(), 
         stage.args = Some(value.into());
         return Ok(());
     }
-    if key == flat::TAKES {
+    if [flat::TAKES, flat::BEFORE].contains(&key) {
         return Ok(());
     }
     let mut words = shlex::split(stage.args.as_deref().unwrap_or_default()).unwrap_or_default();

@@ -164,7 +164,7 @@ fn fit_replacement(text: &str, known: &mut [Option<FlatGraph>], fitted: &mut [Fi
     let has_place = |graph: &Option<FlatGraph>, place: &[String]| {
         let alone = Replacement {
             places: vec![place.to_vec()],
-            words: replacement.words.clone(),
+            ..replacement.clone()
         };
         let Some(mut graph) = graph.clone() else { return true };
         !matches!(graph.replace(&alone), Err(GraphError::UnknownNode { .. }))
@@ -193,7 +193,7 @@ fn fit_replacement(text: &str, known: &mut [Option<FlatGraph>], fitted: &mut [Fi
         let places = replacement.places.iter().zip(has).filter(|(_, has)| **has);
         let replacement = Replacement {
             places: places.map(|(place, _)| place.clone()).collect(),
-            words: replacement.words.clone(),
+            ..replacement.clone()
         };
         // What is wrong with it is said when it is made.
         if let Some(graph) = graph {

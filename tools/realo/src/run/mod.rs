@@ -145,7 +145,8 @@ pub struct Choices {
     /// stage.key=value: changes a setting of a stage
     #[arg(long)]
     pub set: Vec<String>,
-    /// STAGE="program PATH key=value …" or STAGE="operator NAME …": puts another stage in the place of one (docs/reference/plugins.md)
+    /// STAGE="program PATH key=value …" or STAGE="operator NAME …": puts another stage in the place of one, or a new one
+    /// before an input of one: STAGE.INPUT="…" (docs/reference/plugins.md)
     #[arg(long)]
     pub replace: Vec<String>,
 }

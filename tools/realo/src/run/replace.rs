@@ -1,4 +1,4 @@
-//! `--replace`: another stage in the place of one of a graph.
+//! `--replace`: another stage in the place of one of a graph, or a new one before an input.
 
 use std::path::Path;
 
@@ -49,10 +49,11 @@ fn anchor(replacement: &mut Replacement) -> Result<()> {
 /// # Errors
 /// A stage that is not there, with all that are; ports or arguments that do not fit, with those of both sides.
 pub fn apply(graph: &mut FlatGraph, texts: &[String], ask: bool) -> Result<()> {
-    for (replacement, text) in replacements(texts)?.iter().zip(texts) {
+    for (mut replacement, text) in replacements(texts)?.into_iter().zip(texts) {
         let before = errors(graph, &[]);
+        replacement.ports = ports(graph, &replacement, ask).wrap_err_with(|| format!("--replace {text}"))?;
         let places = graph
-            .replace(replacement)
+            .replace(&replacement)
             .wrap_err_with(|| format!("--replace {text}"))?;
         let asked: &[String] = if ask { &places } else { &[] };
         let wrong: Vec<String> = errors(graph, asked)
@@ -69,6 +70,30 @@ pub fn apply(graph: &mut FlatGraph, texts: &[String], ask: bool) -> Result<()> {
         }
     }
     Ok(())
+}
+
+/// The input and the output of a stage that comes before an input; `None` for one that comes in the place of another, and for a
+/// program that is not asked.
+fn ports(graph: &FlatGraph, replacement: &Replacement, ask: bool) -> Result<Option<[String; 2]>> {
+    let Replacement { places, words, .. } = replacement;
+    if places.iter().all(|place| graph.input_of(place).is_none()) {
+        return Ok(None);
+    }
+    let folder = graph.file.parent().unwrap_or(Path::new("/"));
+    let program = Program::of(&FlatNode::alone(&words[1], words, &[]), folder);
+    let registration = match program {
+        Some(program) if ask => program.ask().map_err(|reason| eyre!(reason))?,
+        Some(_) => return Ok(None),
+        None => registry().find(&words[0], &words[1]).map_err(|reason| eyre!(reason))?,
+    };
+    let inputs: Vec<&Port> = registration.inputs.iter().filter(|port| port.required).collect();
+    match (&inputs[..], registration.outputs) {
+        ([input], [output]) => Ok(Some([input, output].map(|port| port.name.to_string()))),
+        _ => bail!(
+            "expected a stage of one input and one output to come before an input, found that {}",
+            offer(registration)
+        ),
+    }
 }
 
 /// What keeps a graph from a run; of these plug-ins the ports are asked for.
@@ -182,6 +207,15 @@ mod tests {
                 "the place has the inputs ego (Boxes), selections (Selection) and the outputs proposals (Boxes)",
             ),
             ("fusion.fuse=operator nms", "the graph has: player"),
+            (
+                "fusion.nms.proposal=operator nms",
+                "no node `fusion.nms.proposal` (did you mean `fusion.nms`?)",
+            ),
+            (
+                "fusion.nms.proposals=operator fusion-boxes",
+                "found that `fusion-boxes` offers the inputs ego (Boxes), selections (Selection)",
+            ),
+            ("ego.sense.sync.clouds=operator liar", "expected"),
             ("fusion.fusion=program no_such.py", "seen from the current folder"),
         ] {
             let said = refused(text);
