@@ -304,6 +304,31 @@ fn a_liar_is_left_out_by_name_and_costs_the_others_nothing() {
 }
 
 #[test]
+fn noise_in_the_place_of_features_is_left_out_whatever_its_size() {
+    let run = |out: &str, graph: &str, more: &[&str]| {
+        let args = [&["--offline", "--ego", "cav1", "--model", "lite-attfuse"], more].concat();
+        let result = run_virtual(out, graph, &guarded_log(), &args);
+        (
+            result["accuracy"]["sorted"]["mAP"]["0.3"].as_f64().expect("an mAP"),
+            result,
+        )
+    };
+    let (alone, _) = run("noise_alone", "no_fusion", &[]);
+    for noise in ["1", "10", "1000"] {
+        let liar = format!("others.sender.messages=operator liar agents=cav2 feature_noise={noise}");
+        let lies = ["--replace", &liar];
+        let (guarded, result) = run(&format!("noise_{noise}"), "attfuse_guarded", &lies);
+        assert!(guarded >= alone - 0.005, "{noise}: {guarded}, {alone} alone");
+        let books = &result["links"]["cav2-cav1"]["features"];
+        let count = |fate: &str| books[fate].as_u64();
+        assert!(
+            count("used") == Some(0) && count("distrusted") > Some(2),
+            "{noise}: {books}"
+        );
+    }
+}
+
+#[test]
 fn inputs_that_hang_on_one_wire_do_so_with_others() {
     let mut stages: BTreeMap<&str, Vec<&str>> = BTreeMap::new();
     for stage in registry().0 {

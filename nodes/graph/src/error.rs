@@ -99,6 +99,20 @@ pub enum GraphError {
         /// All ids.
         known: String,
     },
+    /// An input that a replacement names and that nothing feeds.
+    #[error("{}: nothing feeds an input `{input}` of `{node}`{}; its inputs are: {known}", file.display(), did_you_mean(.nearest))]
+    UnknownInput {
+        /// The graph.
+        file: PathBuf,
+        /// The stage.
+        node: String,
+        /// The input.
+        input: String,
+        /// The most similar one that it has.
+        nearest: Option<String>,
+        /// All that it has.
+        known: String,
+    },
     /// A setting that is not of the form `stage.key=value`.
     #[error("setting `{0}` is not of the form stage.key=value")]
     Setting(String),

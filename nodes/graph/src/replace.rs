@@ -5,6 +5,7 @@ use std::path::Path;
 use std::str::FromStr;
 
 use realo_documents::shown;
+use realo_operator::config::nearest_name;
 
 use super::flat::{BEFORE, STAGE, TAKES, set_argument};
 use super::{FlatGraph, FlatNode, GraphError, Input, InputSource};
@@ -68,7 +69,8 @@ impl FlatGraph {
     /// then nobody takes are left out. Whether its ports fit [`super::validate`] says.
     ///
     /// # Errors
-    /// [`GraphError::UnknownNode`], with all stages; [`GraphError::Node`] for a stage that cannot be replaced.
+    /// [`GraphError::UnknownNode`], with all stages; [`GraphError::UnknownInput`]; [`GraphError::Node`] for a stage that cannot be
+    /// replaced.
     pub fn replace(&mut self, replacement: &Replacement) -> Result<Vec<String>, GraphError> {
         let mut replaced = Vec::new();
         for place in &replacement.places {
@@ -88,6 +90,22 @@ impl FlatGraph {
         let (taker, port) = place.rsplit_once('.').filter(|_| self.node(place).is_none())?;
         let is_wired = self.node(taker)?.inputs.contains_key(port);
         is_wired.then(|| (taker.into(), port.into()))
+    }
+
+    /// That there is no stage and no input of one by this name.
+    fn unknown_place(&self, place: &str) -> GraphError {
+        let parts = place.rsplit_once('.');
+        let Some((taker, input)) = parts.and_then(|(taker, input)| Some((self.node(taker)?, input))) else {
+            return self.unknown(place);
+        };
+        let known: Vec<&str> = taker.inputs.keys().map(String::as_str).collect();
+        GraphError::UnknownInput {
+            file: self.file.clone(),
+            node: taker.id.clone(),
+            input: input.into(),
+            nearest: nearest_name(input, known.iter().copied()),
+            known: known.join(", "),
+        }
     }
 
     /// Puts a new stage before an input; gives its id.
@@ -164,7 +182,7 @@ impl FlatGraph {
                 Some(inside) => inside,
                 None => id.clone(),
             };
-            let node = self.node(&id).ok_or_else(|| self.unknown(&id))?;
+            let node = self.node(&id).ok_or_else(|| self.unknown_place(&id))?;
             let wrong = |reason: String| GraphError::Node {
                 file: self.file.clone(),
                 node: id.clone(),
@@ -344,7 +362,10 @@ mod tests {
                 "ego.encoder+nms=program x",
                 "expected it to take what `ego.encoder` makes",
             ),
-            ("fusion.fusion.egos=program x", "no node `fusion.fusion.egos`"),
+            (
+                "fusion.fusion.egos=program x",
+                "nothing feeds an input `egos` of `fusion.fusion` (did you mean `ego`?); its inputs are: ego, selections",
+            ),
             (
                 "fusion.nms.proposals=operator fusion",
                 "expected one stage `fusion.fusion`, found that the graph has one already",

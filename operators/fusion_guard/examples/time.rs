@@ -5,7 +5,7 @@
 use std::time::Instant;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector2};
-use realo_fusion_guard::{Ego, Limits, Noise, Origin, Reach, Record, View, judge, objects};
+use realo_fusion_guard::{Ego, Limits, Noise, Origin, Reach, Record, Said, View, judge, objects};
 use realo_schemas::geometry::transform_box;
 use realo_schemas::{Box3, PointCloud};
 
@@ -97,13 +97,17 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         objects: &own,
         view: Some(&view),
     };
-    let found = judge(&theirs, &ego, &origin, &Record::default(), &limits)?;
+    let said = Said {
+        boxes: &theirs,
+        impossible: 0,
+    };
+    let found = judge(&said, &ego, &origin, &Record::default(), &limits)?;
     println!(
         "the ego's sweep of {} points: {:.2} ms",
         sweep.len(),
         median(|| drop(View::of(&sweep)))
     );
-    let judged = median(|| drop(judge(&theirs, &ego, &origin, &Record::default(), &limits)));
+    let judged = median(|| drop(judge(&said, &ego, &origin, &Record::default(), &limits)));
     println!(
         "a message of {} boxes: {judged:.2} ms; corrected by {:.2} m",
         theirs.len(),

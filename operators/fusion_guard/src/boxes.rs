@@ -96,17 +96,26 @@ const SUPPORT: [f64; 2] = [1.2, 1.8];
 const PAIRS: [usize; 2] = [2, 3];
 const CLEAR: [f64; 2] = [0.0, 0.6];
 
-/// Judges the boxes of a message.
+/// What a message says.
+pub struct Said<'a> {
+    /// Its boxes, in its frame.
+    pub boxes: &'a [Box3],
+    /// Boxes that its map shows and that no object on it can have.
+    pub impossible: usize,
+}
+
+/// Judges what a message says.
 ///
 /// # Errors
 /// [`AssignmentError`] for more objects than an assignment takes.
 pub fn judge(
-    boxes: &[Box3],
+    said: &Said,
     ego: &Ego,
     origin: &Origin,
     record: &Record,
     limits: &Limits,
 ) -> Result<Judgement, AssignmentError> {
+    let boxes = said.boxes;
     let mut seconds = if limits.moves {
         origin.age_s + record.clock_s()
     } else {
@@ -131,7 +140,7 @@ pub fn judge(
     };
     let pairs = Scene::new(ego.objects, &theirs).pairs(&shift)?;
     let seen = sort(&theirs, ego, &shift, &pairs, origin.age_s);
-    let shares = Shares::of(&theirs, &seen);
+    let shares = Shares::of(&theirs, &seen).with_impossible(said.impossible);
     let mut after = record.clone();
     after.observe(shares.confirmed(), shares.contradicted);
     let pose_m = record.pose_error_m(origin.stated_m);

@@ -5,9 +5,9 @@ use realo_assignment::AssignmentError;
 use realo_schemas::geometry::{relative, yaw_of};
 use realo_schemas::{Box3, Boxes, Header, Message, Name, Nanos, Payload, Pose, from_seconds, to_seconds};
 
-use crate::boxes::{Ego, Judgement, Limits, Origin, judge};
+use crate::boxes::{Ego, Judgement, Limits, Origin, Said, judge};
 use crate::constellation::lay_over;
-use crate::map_boxes::without_cells_of;
+use crate::map_boxes::{Shown, without_cells_of};
 use crate::objects::{Object, objects};
 use crate::overlay::judge_points;
 use crate::record::Record;
@@ -18,8 +18,8 @@ use crate::verdict::Reason;
 /// A message that came with a selection.
 pub(crate) struct Entry {
     message: Message,
-    /// The boxes of its map, where they were looked for.
-    map_boxes: Option<Vec<Box3>>,
+    /// What its map shows, where that was looked for.
+    shown: Option<Shown>,
     origin: Option<Origin>,
     had_no_pose: bool,
     had_wrong_covariance: bool,
@@ -32,14 +32,14 @@ pub(crate) struct Guarded {
 }
 
 impl Entry {
-    /// Takes a message and the boxes of its map. Without a pose it is placed by the ego's objects, if `constellations` is set.
+    /// Takes a message and what its map shows. Without a pose it is placed by the ego's objects, if `constellations` is set.
     ///
     /// # Errors
     /// [`AssignmentError`] for more objects than an assignment takes.
     pub fn of(
         ego: &Header,
         mut message: Message,
-        map_boxes: Option<Vec<Box3>>,
+        shown: Option<Shown>,
         known: &[Object],
         limits: &Limits,
         constellations: bool,
@@ -51,7 +51,7 @@ impl Entry {
             had_no_pose,
             constellations,
             map_from_ego,
-            boxes(&message.payload, map_boxes.as_deref()),
+            boxes(&message.payload, shown.as_ref()),
         ) {
             let theirs = objects(boxes, &Isometry3::identity(), 0.0, limits.max_boxes);
             if let Some(fit) = lay_over(known, &theirs, &limits.noise)? {
@@ -63,7 +63,7 @@ impl Entry {
             had_no_pose: had_no_pose && origin.is_some(),
             origin,
             message,
-            map_boxes,
+            shown,
             had_wrong_covariance,
         })
     }
@@ -74,7 +74,7 @@ impl Entry {
     /// [`AssignmentError`] for more objects than an assignment takes.
     pub fn judge(self, ego: &Sight, record: Record, limits: &Limits) -> Result<Guarded, AssignmentError> {
         let payload = &self.message.payload;
-        let said = boxes(payload, self.map_boxes.as_deref()).filter(|_| ego.has_boxes);
+        let said = boxes(payload, self.shown.as_ref()).filter(|_| ego.has_boxes);
         let judgement = match (&self.origin, payload, said) {
             (Some(origin), _, Some(said)) => {
                 let (objects, view) = (&ego.known, ego.view.as_ref());
@@ -84,9 +84,13 @@ impl Entry {
                     moves: limits.moves && !is_map,
                     ..*limits
                 };
-                let mut judgement = judge(said, &Ego { objects, view }, origin, &record, &limits)?;
+                let said = Said {
+                    boxes: said,
+                    impossible: self.shown.as_ref().map_or(0, |shown| shown.impossible),
+                };
+                let mut judgement = judge(&said, &Ego { objects, view }, origin, &record, &limits)?;
                 if let Payload::FeatureMap(map) = payload {
-                    let free: Vec<&Box3> = judgement.free_indices.iter().map(|index| &said[*index]).collect();
+                    let free: Vec<&Box3> = judgement.free_indices.iter().map(|index| &said.boxes[*index]).collect();
                     judgement.kept = without_cells_of(&free, map).into();
                 }
                 Some(judgement)
@@ -101,10 +105,10 @@ impl Entry {
 }
 
 /// The boxes of a message, or of its map.
-fn boxes<'a>(payload: &'a Payload, map_boxes: Option<&'a [Box3]>) -> Option<&'a [Box3]> {
+fn boxes<'a>(payload: &'a Payload, shown: Option<&'a Shown>) -> Option<&'a [Box3]> {
     match payload {
         Payload::Boxes(Boxes(said)) => Some(said),
-        Payload::FeatureMap(_) => map_boxes,
+        Payload::FeatureMap(_) => Some(&shown?.boxes),
         _ => None,
     }
 }

@@ -38,7 +38,7 @@ mod sight;
 mod verdict;
 mod view;
 
-pub use boxes::{Ego, Judgement, Known, Limits, Origin, judge};
+pub use boxes::{Ego, Judgement, Known, Limits, Origin, Said, judge};
 pub use cells::{Ground, Overlay, standing};
 pub use clock::ahead_s;
 pub use constellation::lay_over;

@@ -12,8 +12,19 @@ use realo_schemas::{Box3, Elements, FeatureMap};
 
 /// A box is a duplicate if it overlaps more than this with a better one.
 const DUPLICATE: f64 = 0.15;
+/// A box of a map lies on it, or not farther beside it, m.
+const BESIDE_M: f64 = 10.0;
 /// Features of a box lie in cells around it, too, m.
 const AROUND_M: f64 = 0.8;
+
+/// What a map shows.
+#[derive(Debug)]
+pub(crate) struct Shown {
+    /// Boxes in it, best first.
+    pub boxes: Vec<Box3>,
+    /// Boxes that no object in it can have: with such numbers, or beside the map. Of what an encoder makes there are none; of noise most are.
+    pub impossible: usize,
+}
 
 /// Finds boxes in maps of one model.
 pub(crate) struct MapDetector {
@@ -47,26 +58,59 @@ impl MapDetector {
         &self.maps.identity
     }
 
-    /// Returns the boxes of a map, best first. `None` if the map does not fit the model or has values that are not finite or beyond 1e15;
+    /// Returns what a map shows. `None` if the map does not fit the model or has values that are not finite or beyond 1e15;
     /// fusions reject such maps.
     ///
     /// # Errors
     /// Those of the device.
-    pub fn boxes(&mut self, map: &FeatureMap, steps: &mut Steps) -> Result<Option<Vec<Box3>>, Error> {
+    pub fn boxes(&mut self, map: &FeatureMap, steps: &mut Steps) -> Result<Option<Shown>, Error> {
         let read = self.maps.read(map).ok();
         let Some(map) = read.filter(|map| self.sizes.contains(&map.size()) && map.is_sound()) else {
             return Ok(None);
         };
+        let [rows, columns, _] = map.size();
+        let area = Area::of(&self.maps, rows, columns);
         let heads = self.engine.heads_alone(map.view(), steps)?;
         let found = self.decoder.decode(&heads.scores, &heads.deltas).boxes;
         let mut kept: Vec<(Footprint, Box3)> = Vec::new();
-        for object in found.into_iter().filter(|object| detection_fault(object).is_none()) {
+        let all = found.len();
+        let possible = |object: &Box3| detection_fault(object).is_none() && area.has(object);
+        let sound: Vec<Box3> = found.into_iter().filter(possible).collect();
+        let impossible = all - sound.len();
+        for object in sound {
             let ground = Footprint::of(&object);
             if kept.len() < self.max_boxes && !kept.iter().any(|(better, _)| iou_exceeds(better, &ground, DUPLICATE)) {
                 kept.push((ground, object));
             }
         }
-        Ok(Some(kept.into_iter().map(|(_, object)| object).collect()))
+        Ok(Some(Shown {
+            boxes: kept.into_iter().map(|(_, object)| object).collect(),
+            impossible,
+        }))
+    }
+}
+
+/// Ground that a map covers, m.
+struct Area {
+    min: [f64; 2],
+    max: [f64; 2],
+}
+
+impl Area {
+    fn of(maps: &Maps, rows: usize, columns: usize) -> Self {
+        let cells = [columns, rows].map(|cells| cells as f64 * maps.cell);
+        let [x, y] = maps.origin;
+        Area {
+            min: [x, y],
+            max: [x + cells[0], y + cells[1]],
+        }
+    }
+
+    fn has(&self, object: &Box3) -> bool {
+        (0..2).all(|axis| {
+            let [min, max] = [self.min[axis] - BESIDE_M, self.max[axis] + BESIDE_M];
+            (min..=max).contains(&object.center[axis])
+        })
     }
 }
 

@@ -4,14 +4,14 @@ use std::path::PathBuf;
 use realo_bev::Computing;
 use realo_operator::{Describe, Error, Inputs, Operator, Outputs, Settings};
 use realo_schemas::report::Fate;
-use realo_schemas::{Box3, Header, Message, Name, Nanos, Payload, PointCloud, Selection};
+use realo_schemas::{Header, Message, Name, Nanos, Payload, PointCloud, Selection};
 use serde::{Deserialize, Serialize};
 
 use crate::boxes::Limits;
 use crate::counters::*;
 use crate::entry::{Entry, Guarded};
 use crate::fit::Noise;
-use crate::map_boxes::MapDetector;
+use crate::map_boxes::{MapDetector, Shown};
 use crate::record::Record;
 use crate::search::Reach;
 use crate::sight::Sight;
@@ -207,8 +207,8 @@ impl FusionGuard {
         entries: Vec<Message>,
         out: &mut Outputs<Output>,
     ) -> Result<Vec<Message>, Error> {
-        let map_boxes = self.map_boxes(&ego.payload, out)?;
-        if let (Payload::FeatureMap(map), Some(detector), None) = (&ego.payload, &self.map_detector, &map_boxes) {
+        let shown = self.shown(&ego.payload, out)?;
+        if let (Payload::FeatureMap(map), Some(detector), None) = (&ego.payload, &self.map_detector, &shown) {
             return Err(GuardError::EgoMap {
                 expected: detector.identity().into(),
                 found: map.model.clone(),
@@ -216,15 +216,15 @@ impl FusionGuard {
             }
             .into());
         }
-        let mut sight = Sight::of(ego, map_boxes, sweep, self.limits.max_boxes);
+        let mut sight = Sight::of(ego, shown.map(|shown| shown.boxes), sweep, self.limits.max_boxes);
         let mut guarded: Vec<Guarded> = Vec::new();
         for entry in entries {
             let record = self.record(&entry.header.agent, ego.header.stamp, out);
-            let map_boxes = self.map_boxes(&entry.payload, out)?;
+            let shown = self.shown(&entry.payload, out)?;
             let entry = Entry::of(
                 &ego.header,
                 entry,
-                map_boxes,
+                shown,
                 &sight.known,
                 &self.limits,
                 self.settings.constellations,
@@ -251,8 +251,8 @@ impl FusionGuard {
         Ok(kept)
     }
 
-    /// Returns the boxes of a BEV map; `None` if it is not a map, cannot be read, or there is no model.
-    fn map_boxes(&mut self, payload: &Payload, out: &mut Outputs<Output>) -> Result<Option<Vec<Box3>>, Error> {
+    /// Returns what a BEV map shows; `None` if it is not a map, cannot be read, or there is no model.
+    fn shown(&mut self, payload: &Payload, out: &mut Outputs<Output>) -> Result<Option<Shown>, Error> {
         match (payload, &mut self.map_detector) {
             (Payload::FeatureMap(map), Some(detector)) => detector.boxes(map, out.steps()),
             _ => Ok(None),
@@ -299,7 +299,10 @@ fn settle(one: Guarded, ego: &Header, out: &mut Outputs<Output>) -> Option<Messa
         if is_this {
             let [checked, free] = judgement.shares.checked;
             out.found(counter, &agent, || {
-                format!("the first: of {checked} boxes or cells that the ego sees the place of, {free} are where nothing stands")
+                match judgement.shares.impossible {
+                    0 => format!("the first: of {checked} boxes or cells that the ego sees the place of, {free} are where nothing stands"),
+                    impossible => format!("the first: {impossible} boxes of its map are none that an object on it can have"),
+                }
             });
         }
     }

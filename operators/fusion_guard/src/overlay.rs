@@ -61,6 +61,7 @@ pub(crate) fn judge_points(
         something: 0.0,
         contradicted,
         checked: [checked, free],
+        ..Shares::default()
     };
     let mut after = record.clone();
     after.observe(shares.confirmed(), shares.contradicted);

@@ -25,6 +25,8 @@ pub struct Shares {
     pub contradicted: f64,
     /// Boxes that the ego can check, and those of them where nothing stands.
     pub checked: [usize; 2],
+    /// Boxes that no object can have; each contradicts the ego as a sure one in free space does.
+    pub impossible: usize,
 }
 
 /// What a box where something stands says for its sender: walls and bushes stand, too.
@@ -55,6 +57,15 @@ impl Shares {
             shares.checked[1] += usize::from(*known == Known::Free);
         }
         shares
+    }
+
+    /// The same with boxes that no object can have.
+    pub fn with_impossible(self, boxes: usize) -> Self {
+        Shares {
+            contradicted: self.contradicted + boxes as f64,
+            impossible: boxes,
+            ..self
+        }
     }
 
     /// What speaks for the sender. It is bounded: saying much that the ego sees itself does not make up for lies.
@@ -97,7 +108,7 @@ mod tests {
             paired,
             something,
             contradicted,
-            checked: [0, 0],
+            ..Shares::default()
         }
     }
 

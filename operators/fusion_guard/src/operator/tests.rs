@@ -435,10 +435,10 @@ fn a_map_that_does_not_fit_stops_nobody_and_one_of_the_egos_is_an_error() {
             "{error}"
         );
     }
-    // Features that no encoder made show boxes where nothing stands.
-    let noise = map(&maps, whole, |at| ((at * 2_654_435_761) % 1000) as f32 / 200.0);
-    for _ in 0..2 {
-        let theirs = vec![("rsu1", empty.clone()), ("cav2", noise.clone())];
+    // Features that no encoder made show boxes where nothing stands, or where no object on the map can be.
+    for size in [5.0, 50.0, 5000.0] {
+        let noise = map(&maps, whole, |at| ((at * 2_654_435_761) % 1000) as f32 / 1000.0 * size);
+        let theirs = vec![("rsu1", empty.clone()), ("cav2", noise)];
         let (kept, out) = guard_maps(&mut operator, empty.clone(), theirs);
         assert_eq!(kept.unwrap(), [Name::from("rsu1")]);
         assert_eq!(

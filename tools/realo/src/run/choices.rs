@@ -167,7 +167,10 @@ fn fit_replacement(text: &str, known: &mut [Option<FlatGraph>], fitted: &mut [Fi
             ..replacement.clone()
         };
         let Some(mut graph) = graph.clone() else { return true };
-        !matches!(graph.replace(&alone), Err(GraphError::UnknownNode { .. }))
+        !matches!(
+            graph.replace(&alone),
+            Err(GraphError::UnknownNode { .. } | GraphError::UnknownInput { .. })
+        )
     };
     let has: Vec<Vec<bool>> = known
         .iter()

@@ -209,13 +209,13 @@ mod tests {
             ("fusion.fuse=operator nms", "the graph has: player"),
             (
                 "fusion.nms.proposal=operator nms",
-                "no node `fusion.nms.proposal` (did you mean `fusion.nms`?)",
+                "nothing feeds an input `proposal` of `fusion.nms` (did you mean `proposals`?)",
             ),
             (
                 "fusion.nms.proposals=operator fusion-boxes",
                 "found that `fusion-boxes` offers the inputs ego (Boxes), selections (Selection)",
             ),
-            ("ego.sense.sync.clouds=operator liar", "expected"),
+            ("ego.sense.sync.poses=operator liar", "`ego.sense.liar`"),
             ("fusion.fusion=program no_such.py", "seen from the current folder"),
         ] {
             let said = refused(text);
