@@ -37,6 +37,8 @@ pub struct Scene {
     pub name: String,
     /// Vehicles first.
     pub agents: Vec<SceneAgent>,
+    /// Folders of the agents that are not wanted.
+    pub unwanted: Vec<String>,
 }
 
 /// An agent of a scene.
@@ -70,6 +72,8 @@ pub struct SweepFiles {
 pub struct RawSweep {
     /// Pose of the LiDAR.
     pub map_from_lidar: Isometry3<f64>,
+    /// What that is the pose of in truth, by its key in the file, if not of the LiDAR.
+    pub pose_of: Option<&'static str>,
     /// Height of the LiDAR over the ground, m, where its files say it.
     pub height: Option<f64>,
     /// In the frame of the LiDAR.

@@ -102,6 +102,8 @@ const OPENCOOD_FOOTPRINT: &str = "-1.95,2.95,-1.1,1.1";
 /// What a label file says, right-handed.
 struct Said {
     map_from_lidar: Isometry3<f64>,
+    /// The key of a vehicle's pose that was taken for that of its LiDAR.
+    pose_of: Option<&'static str>,
     height: Option<f64>,
     labels: Vec<Label>,
     /// Labels without a size.
@@ -124,6 +126,7 @@ impl Layout for Family {
         let points = faults.keep(FileKind::Cloud, points(&files.cloud, options));
         let sweep = said.zip(points).map(|(said, points)| RawSweep {
             map_from_lidar: said.map_from_lidar,
+            pose_of: said.pose_of,
             height: said.height,
             points,
             labels: said.labels,
@@ -186,6 +189,7 @@ impl Family {
         let dropped = all - labels.len();
         Ok(Said {
             map_from_lidar,
+            pose_of: file.vehicle_pose().filter(|_| options.pose_key.is_none()),
             height: file.height()?,
             labels,
             dropped,

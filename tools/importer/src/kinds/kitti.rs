@@ -120,6 +120,7 @@ impl Layout for KittiLayout {
         let scenes = vec![Scene {
             name: name.unwrap_or_else(|| "kitti".into()),
             agents: vec![agent],
+            unwanted: Vec::new(),
         }];
         Ok(Found {
             scenes,
@@ -139,6 +140,7 @@ impl Layout for KittiLayout {
             let view = faults.keep(FileKind::Calibration, calibration.view())?;
             Some(RawSweep {
                 map_from_lidar,
+                pose_of: None,
                 height: None,
                 points,
                 labels,

@@ -24,6 +24,8 @@ pub struct BodySweep {
     pub cloud: PointCloud,
     pub limited: usize,
     pub dropped: usize,
+    /// What its pose is of in truth, if not of the LiDAR.
+    pub pose_of: Option<&'static str>,
     pub view: Option<View>,
 }
 
@@ -62,6 +64,7 @@ impl SceneImport<'_> {
     ) -> Result<(BodySweep, Labelled), FaultsOfSweep> {
         let RawSweep {
             map_from_lidar,
+            pose_of,
             height: _,
             points,
             labels,
@@ -86,6 +89,7 @@ impl SceneImport<'_> {
                 cloud,
                 limited,
                 dropped,
+                pose_of,
                 view: view.map(|view| view.moved(&body_from_lidar)),
             };
             let labelled = Labelled {

@@ -7,7 +7,7 @@ use super::clock::Clock;
 use super::frame::numbers;
 use super::name::plain;
 use super::write::{SceneImport, all_missing};
-use super::{Found, Layout, Scene, SceneSummary};
+use super::{Found, Layout, Scene, SceneAgent, SceneSummary};
 use crate::faults::listed;
 use crate::{ImportError, Options};
 
@@ -140,9 +140,10 @@ fn select_agents(dir: &Path, scenes: &mut [Scene], wanted: &[String]) -> Result<
     }
     for scene in scenes {
         let all = names(scene.agents.iter().map(|agent| agent.folder.as_str()));
-        scene
-            .agents
-            .retain(|agent| wanted.contains(&agent.folder) || wanted.contains(&agent.name));
+        let is_wanted = |agent: &SceneAgent| wanted.contains(&agent.folder) || wanted.contains(&agent.name);
+        let unwanted = scene.agents.iter().filter(|agent| !is_wanted(agent));
+        scene.unwanted = unwanted.map(|agent| agent.folder.clone()).collect();
+        scene.agents.retain(is_wanted);
         if scene.agents.is_empty() {
             let reason = format!(
                 "--agents: scene `{}` has none of them; it has {all}; choose it with --scenes",
@@ -201,6 +202,7 @@ mod tests {
         let scene = |name: &str| Scene {
             name: name.into(),
             agents: Vec::new(),
+            unwanted: Vec::new(),
         };
         let scenes = ["a/b", "a-b", "A-B", "a-b_2", "场景", "地点"].map(scene);
         let names = file_names(&scenes);

@@ -27,6 +27,8 @@ pub struct AgentSummary {
     pub height_m: f64,
     /// How its intensities became bytes.
     pub intensities: String,
+    /// Sweeps whose file has no pose of the LiDAR, by the key of another pose that was taken for it.
+    pub poses_of: BTreeMap<String, usize>,
 }
 
 /// What was imported of a scene.
@@ -54,6 +56,8 @@ pub struct SceneSummary {
     pub limited_intensities: usize,
     /// How well the clouds of two agents fit each other.
     pub residuals: Vec<Residual>,
+    /// Folders of agents that were not wanted: what only they labelled is in no ground truth.
+    pub unwanted: Vec<String>,
     /// What the data set does not say, a line each.
     pub assumed: Vec<String>,
 }
@@ -86,8 +90,21 @@ impl fmt::Display for SceneSummary {
             "\ntruth: {} boxes, the labels of all agents together",
             self.truth_boxes
         )?;
+        self.lacks(f)?;
         for line in &self.assumed {
             write!(f, "\nassumed: {line}")?;
+        }
+        for AgentSummary {
+            name, sweeps, poses_of, ..
+        } in &self.agents
+        {
+            for (key, count) in poses_of {
+                write!(
+                    f,
+                    "\nassumed: in {count} of {sweeps} sweeps of `{name}` the LiDAR is where `{key}` says its vehicle is, because the \
+                     files have no pose of the LiDAR (--pose-key)"
+                )?;
+            }
         }
         for residual in &self.residuals {
             write!(f, "\n{residual}")?;
@@ -97,6 +114,25 @@ impl fmt::Display for SceneSummary {
 }
 
 impl SceneSummary {
+    /// Whose labels the ground truth lacks.
+    fn lacks(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        if !self.unwanted.is_empty() {
+            let left = self.unwanted.join("`, `");
+            write!(f, "\nthe truth lacks what only `{left}` labelled (--agents)")?;
+        }
+        for AgentSummary { name, sweeps, .. } in &self.agents {
+            let gone = self.frames.saturating_sub(*sweeps);
+            if gone > 0 {
+                let frames = self.frames;
+                write!(
+                    f,
+                    "\nthe truth of {gone} of {frames} frames lacks what only `{name}` labelled: it has no sweep there"
+                )?;
+            }
+        }
+        Ok(())
+    }
+
     fn left_out(&self, f: &mut fmt::Formatter) -> fmt::Result {
         if self.dropped_labels > 0 {
             write!(

@@ -121,6 +121,7 @@ impl<'a> SceneImport<'a> {
             scene: self.scene.name.clone(),
             agents: self.scene.agents.iter().zip(known).map(agent).collect(),
             assumed,
+            unwanted: self.scene.unwanted.clone(),
             ..SceneSummary::default()
         }
     }
@@ -193,6 +194,9 @@ impl Writing<'_> {
         self.summary.dropped_labels += sweep.dropped;
         self.summary.limited_intensities += sweep.limited;
         let summary = &mut self.summary.agents[sweep.agent];
+        if let Some(key) = sweep.pose_of {
+            *summary.poses_of.entry(key.into()).or_default() += 1;
+        }
         summary.sweeps += 1;
         summary.points += sweep.cloud.len();
         summary.labels += truth.own;

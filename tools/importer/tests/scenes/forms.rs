@@ -165,7 +165,11 @@ fn v2xset_and_adver_city_name_their_roadside_units_each_in_its_way() {
 fn other_keys_of_the_pose_are_taken_and_an_estimate_only_if_named() {
     for key in ["true_ego_pos", "true_ego_pose"] {
         let made = Made::new(&Style { pose_key: key, ..OPV2V });
-        made.import(&[]).unwrap();
+        let said = made.import(&[]).unwrap().to_string();
+        let line = format!("in 3 of 3 sweeps of `cav_641` the LiDAR is where `{key}` says its vehicle is");
+        assert!(said.contains(&line), "{said}");
+        let said = made.import(&[("pose-key", key)]).unwrap().to_string();
+        assert!(!said.contains("says its vehicle is"), "it was asked for: {said}");
     }
     let made = Made::new(&Style {
         pose_key: "my_pose",
@@ -194,6 +198,16 @@ fn agents_appear_and_vanish_and_frames_may_have_no_object() {
     assert_eq!(
         (summary.frames, summary.agents[0].sweeps, summary.agents[1].sweeps),
         (3, 2, 2)
+    );
+    let said = summary.to_string();
+    for name in ["cav_641", "cav_650"] {
+        let line = format!("the truth of 1 of 3 frames lacks what only `{name}` labelled");
+        assert!(said.contains(&line), "{said}");
+    }
+    let said = made.import(&[("agents", "641")]).unwrap().to_string();
+    assert!(
+        said.contains("the truth lacks what only `650` labelled (--agents)"),
+        "{said}"
     );
     let (_, found) = read(&made.out());
     assert!(

@@ -148,7 +148,11 @@ impl Walk<'_> {
                 sweeps,
             });
         }
-        self.found.scenes.push(Scene { name, agents });
+        self.found.scenes.push(Scene {
+            name,
+            agents,
+            unwanted: Vec::new(),
+        });
         Ok(())
     }
 }

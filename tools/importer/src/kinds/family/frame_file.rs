@@ -13,6 +13,8 @@ use crate::yaml::{Document, numbers, text, what};
 
 /// Keys of the pose of the LiDAR, the first that is there counts. `predicted_ego_pos` is an estimate, and is not one of them.
 pub const POSES: [&str; 4] = ["lidar_pose", "lidar_pose0", "true_ego_pose", "true_ego_pos"];
+/// Those of them that are the pose of the vehicle, whose LiDAR is elsewhere.
+const OF_VEHICLE: [&str; 2] = ["true_ego_pose", "true_ego_pos"];
 /// Keys that say that an agent is a roadside unit.
 pub const ROADSIDE: [&str; 3] = ["RSU", "rsu", "infra"];
 /// Key of the height of the LiDAR over the ground, m, as `realo-lab export` writes it.
@@ -86,6 +88,12 @@ impl FrameFile {
             .map(|key| format!("`{}`", crate::shown(&key)))
             .collect();
         keys.join(", ")
+    }
+
+    /// The key of a vehicle that stands for the pose of its LiDAR, where the file has none of a LiDAR.
+    pub fn vehicle_pose(&self) -> Option<&'static str> {
+        let key = POSES.into_iter().find(|key| self.has(key))?;
+        OF_VEHICLE.contains(&key).then_some(key)
     }
 
     /// How many numbers the pose of the LiDAR has.
