@@ -1,6 +1,7 @@
 //! The kinds of data sets: one trait, one registry, and which kind a folder is.
 
 mod bag;
+mod cooperscene;
 mod dair;
 mod family;
 mod job;
@@ -85,6 +86,7 @@ pub static KINDS: &[&dyn Importer] = &[
     &opv2v::OPV2V,
     &v2x_real::V2X_REAL,
     &v2v4real::V2V4REAL,
+    &cooperscene::COOPERSCENE,
     &kitti::Kitti,
     &bag::RosBag,
 ];
@@ -106,7 +108,7 @@ pub fn importer(name: &str) -> Result<&'static dyn Importer, ImportError> {
 pub fn list() -> String {
     let line = |importer: &&dyn Importer| {
         let Kind { name, title, needs, .. } = importer.kind();
-        format!("{name:<10} {title}\n{:<10} needs {needs}", "")
+        format!("{name:<11} {title}\n{:<11} needs {needs}", "")
     };
     KINDS.iter().map(line).collect::<Vec<_>>().join("\n")
 }

@@ -43,6 +43,8 @@ pub struct Family {
     pub agents_are_objects: bool,
     /// Whether the speeds of objects are measured.
     pub has_speeds: bool,
+    /// Folders of roadside units, besides negative ones.
+    pub roadside: &'static [&'static str],
     /// Classes whose names say something else than the object is, in words.
     pub note: Option<&'static str>,
 }
@@ -116,7 +118,7 @@ impl Layout for Family {
     }
 
     fn find(&self, dir: &Path, options: &Options) -> Result<Found, ImportError> {
-        find(dir, self.clouds, options)
+        find(dir, self.clouds, self.roadside, options)
     }
 
     fn sweep(&self, files: &SweepFiles, options: &Options) -> Result<RawSweep, FaultsOfSweep> {

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use super::Kind;
+use super::cooperscene::file_beside;
 use super::family::{Family, FamilyKind, FrameFile, LabelFrame, options};
 
 /// OPV2V, V2XSet, Adver-City.
@@ -27,6 +28,7 @@ static FAMILY: Family = Family {
     labels_in: LabelFrame::World,
     agents_are_objects: true,
     has_speeds: true,
+    roadside: &[],
     note: None,
 };
 
@@ -34,6 +36,9 @@ fn recognise(path: &Path, file: &FrameFile) -> Result<String, String> {
     let name = path.display();
     if let Some(key) = ["true_ego_pose", "infra", "cam1"].into_iter().find(|key| file.has(key)) {
         return Err(format!("`{name}` has the key `{key}`, as V2X-Real"));
+    }
+    if let Some(beside) = file_beside(path) {
+        return Err(format!("`{name}` has `{beside}` beside it, as CooperScene"));
     }
     match file.pose_numbers() {
         Some(6) if path.with_extension("pcd").is_file() => {

@@ -27,6 +27,7 @@ static FAMILY: Family = Family {
     labels_in: LabelFrame::Lidar,
     agents_are_objects: false,
     has_speeds: false,
+    roadside: &[],
     note: Some(
         "objects of two agents with the same `ass_id` are one; without one, or with -1, they are the agent's own",
     ),

@@ -28,6 +28,7 @@ static FAMILY: Family = Family {
     agents_are_objects: false,
     // Its files say 0 for all.
     has_speeds: false,
+    roadside: &[],
     note: Some(
         "classes keep their names; `TrashCan` has the size of a truck, and the protocol `default` counts it as one",
     ),

@@ -68,6 +68,16 @@ pub const V2V4REAL: Style = Style {
     ..OPV2V
 };
 
+pub const COOPERSCENE: Style = Style {
+    digits: 5,
+    step: 1,
+    first: 12,
+    class_key: Some("obj_type"),
+    head: |_| "takes: !!python/tuple [1, 2]\n",
+    agents_are_objects: false,
+    ..OPV2V
+};
+
 impl Style {
     /// Writes a scene.
     pub fn write(&self, scene: &Path, agents: &[Agent]) {

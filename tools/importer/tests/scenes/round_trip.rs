@@ -3,11 +3,12 @@
 use std::path::Path;
 
 use nalgebra::Point3;
+use realo_importer::look_at;
 use realo_logs::{AgentKind, Log};
 use realo_schemas::geometry::{tilt_degrees, yaw_of};
 
 use crate::AGENTS;
-use crate::layouts::{OPV2V, Style, V2V4REAL, V2X_REAL};
+use crate::layouts::{COOPERSCENE, OPV2V, Style, V2V4REAL, V2X_REAL};
 use crate::reading::{Read, import, read};
 use crate::world::{Agent, CARS, ON_A_CAR};
 
@@ -163,6 +164,31 @@ fn v2v4real_has_matrices_and_boxes_in_the_frame_of_each_lidar() {
         .collect();
     assert_eq!(tracks.len(), 5, "{tracks:?}");
     assert!(tracks[3].unwrap() > 1 << 63, "its identity is a text: {tracks:?}");
+}
+
+#[test]
+fn cooperscene_has_a_roadside_unit_in_the_first_folder_and_files_of_its_own_beside_labels() {
+    let named = |agent: Agent, folder| Agent { folder, ..agent };
+    let agents = [named(AGENTS[0], "1"), named(AGENTS[1], "2"), named(AGENTS[2], "0")];
+    let (dir, log) = round_trip("cooperscene", &COOPERSCENE, &agents, &["cav_1", "cav_2", "rsu_0"]);
+    assert_eq!(log.info().agents[2].kind, AgentKind::Roadside);
+    let data = dir.path().join("data");
+    for folder in ["0", "1", "2"].map(|folder| data.join("test").join(SCENE).join(folder)) {
+        for name in ["00012_additional.yaml", "00012_separate.yaml", "data_protocol.yaml"] {
+            std::fs::write(folder.join(name), "vehicles: {}\n").unwrap();
+        }
+    }
+    let seen = look_at(&data);
+    let fits: Vec<&str> = seen.fits.iter().map(|(importer, _)| importer.kind().name).collect();
+    assert_eq!(fits, ["cooperscene"], "{seen}");
+    let summary = &import("cooperscene", &data, &dir.path().join("again.mcap"), &[]).unwrap()[0];
+    assert_eq!(summary.frames, COOPERSCENE.frames as usize);
+    assert!(
+        summary
+            .to_string()
+            .contains("the measured radio in `mcap/` is not imported"),
+        "{summary}"
+    );
 }
 
 /// Changes a file.

@@ -92,6 +92,8 @@ fn name_of(dir: &Path) -> String {
 struct Walk<'a> {
     root: &'a Path,
     clouds: Vec<&'a str>,
+    /// Folders of roadside units, besides negative ones.
+    roadside: &'a [&'a str],
     found: Found,
 }
 
@@ -135,7 +137,12 @@ impl Walk<'_> {
         let mut known: Vec<(AgentKind, String, BTreeMap<u64, SweepFiles>)> = Vec::new();
         for (folder, listed) in folders {
             let sweeps = listed.sweeps(&folder, &self.clouds);
-            known.push((kind_of(&name_of(&folder), &sweeps), name_of(&folder), sweeps));
+            let name = name_of(&folder);
+            let kind = match self.roadside.contains(&&*name) {
+                true => AgentKind::Roadside,
+                false => kind_of(&name, &sweeps),
+            };
+            known.push((kind, name, sweeps));
         }
         let number = |folder: &str| folder.parse::<i64>().map_or(i64::MAX, i64::abs);
         known.sort_by_key(|(kind, folder, _)| (*kind, number(folder), folder.clone()));
@@ -172,11 +179,11 @@ fn kind_of(folder: &str, sweeps: &BTreeMap<u64, SweepFiles>) -> AgentKind {
     }
 }
 
-/// The scenes below a folder, which may be the data set, a split, or a scene.
+/// The scenes below a folder, which may be the data set, a split, or a scene. `roadside`: folders of roadside units, besides negative ones.
 ///
 /// # Errors
 /// None at all, or the folder of an agent.
-pub fn find(dir: &Path, clouds: &[&'static str], options: &Options) -> Result<Found, ImportError> {
+pub fn find(dir: &Path, clouds: &[&'static str], roadside: &[&str], options: &Options) -> Result<Found, ImportError> {
     let mut clouds: Vec<&str> = clouds.to_vec();
     if let Some(wanted) = options.cloud.as_deref() {
         clouds.sort_by_key(|end| *end != wanted);
@@ -188,6 +195,7 @@ pub fn find(dir: &Path, clouds: &[&'static str], options: &Options) -> Result<Fo
     let mut walk = Walk {
         root: dir,
         clouds,
+        roadside,
         found: Found::default(),
     };
     walk.walk(dir, 1)?;
@@ -209,7 +217,7 @@ pub fn find(dir: &Path, clouds: &[&'static str], options: &Options) -> Result<Fo
 
 /// The first label file below a folder that can be read, for a look at its keys.
 pub fn first_labels(dir: &Path) -> Result<(PathBuf, FrameFile), String> {
-    let found = find(dir, &["pcd", "bin"], &Options::default()).map_err(|error| error.to_string())?;
+    let found = find(dir, &["pcd", "bin"], &[], &Options::default()).map_err(|error| error.to_string())?;
     let agents = found.scenes.iter().flat_map(|scene| &scene.agents);
     let mut files = agents.flat_map(|agent| agent.sweeps.values().take(2));
     let read = |files: &SweepFiles| Some((files.labels.clone(), FrameFile::read(&files.labels).ok()?));
