@@ -6,6 +6,7 @@ mod dair;
 mod family;
 mod job;
 mod kitti;
+mod numpy;
 mod opv2v;
 mod seen;
 mod v2v4real;
@@ -88,6 +89,7 @@ pub static KINDS: &[&dyn Importer] = &[
     &v2v4real::V2V4REAL,
     &cooperscene::COOPERSCENE,
     &kitti::Kitti,
+    &numpy::Numpy,
     &bag::RosBag,
 ];
 

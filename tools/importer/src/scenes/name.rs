@@ -12,7 +12,10 @@ pub fn agent_name(folder: &str, kind: AgentKind, taken: impl Fn(&str) -> bool) -
         AgentKind::Roadside => "rsu",
     };
     let own = plain(folder.trim_start_matches('-'));
-    let name = format!("{prefix}_{own}");
+    let name = match own.starts_with(prefix) {
+        true => own,
+        false => format!("{prefix}_{own}"),
+    };
     let others = (2..).map(|number| format!("{name}_{number}"));
     let free = std::iter::once(name.clone()).chain(others).find(|name| !taken(name));
     free.unwrap_or(name)

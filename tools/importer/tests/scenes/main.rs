@@ -5,6 +5,7 @@ mod chosen;
 mod forms;
 mod kitti;
 mod layouts;
+mod numpy;
 mod reading;
 mod round_trip;
 mod world;

@@ -17,7 +17,7 @@ const START: i64 = 1_629_316_085_000_000_000;
 const PERIOD: i64 = 100_000_000;
 
 /// Compares an agent at a frame with the world.
-fn compare(read: &Read, agent: &Agent, number: usize, frame: u64) {
+pub fn compare(read: &Read, agent: &Agent, number: usize, frame: u64) {
     let [x, y, _, _, yaw, _] = agent.at(frame);
     let at = read.map_from_body.translation.vector;
     assert!(

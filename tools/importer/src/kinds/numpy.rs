@@ -1,0 +1,424 @@
+//! Arrays of numpy: a folder for each agent, with a `.npz` for each sweep, or a `.npy` of its points and files beside it.
+
+mod array;
+
+use std::collections::{BTreeMap, BTreeSet};
+use std::fs;
+use std::path::{Path, PathBuf};
+
+use nalgebra::{Isometry3, Matrix3, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3};
+use realo_logs::{AgentKind, track_of};
+
+use self::array::{Array, Arrays, Items};
+use super::{Importer, Job, Kind};
+use crate::faults::{FaultsOfSweep, FileKind};
+use crate::pcd::{Intensities, Points};
+use crate::scenes::{Found, Label, Layout, RawSweep, Scene, SceneAgent, SweepFiles, agent_name};
+use crate::{ImportError, Options};
+
+/// Arrays of numpy.
+pub struct Numpy;
+
+static KIND: Kind = Kind {
+    name: "numpy",
+    title: "arrays of numpy",
+    needs: "SCENE/AGENT/000000.npz with `points`, `pose` and, where there are objects, `boxes`, `classes`, `tracks`; or \
+            SCENE/AGENT/000000.npy, 000000_boxes.npy and poses.npy; roadside AGENTs begin with `rsu`, `infra` or `-`",
+    unit: "frames",
+    paths: None,
+    options: &[
+        ("scenes", ""),
+        ("frames", ""),
+        ("agents", ""),
+        ("rate", "10"),
+        ("stamp", "start"),
+        ("level", "pose"),
+        ("height", "ground"),
+        ("class", "Car"),
+        ("footprint", "-1.95,2.95,-1.1,1.1"),
+        ("skip-incomplete", ""),
+    ],
+};
+
+static LAYOUT: NumpyLayout = NumpyLayout;
+
+struct NumpyLayout;
+
+/// Poses of the `.npy` files of a folder.
+const POSES: &str = "poses.npy";
+/// How names of boxes beside `.npy` points end.
+const BOXES: &str = "_boxes.npy";
+
+impl Importer for Numpy {
+    fn kind(&self) -> &'static Kind {
+        &KIND
+    }
+
+    fn recognise(&self, dir: &Path) -> Result<String, String> {
+        let scenes = scenes(dir).map_err(|error| error.to_string())?;
+        let first = scenes.first().and_then(|(_, agents)| agents.first());
+        let found = first.and_then(|(folder, frames)| Some((folder, frames.values().next()?)));
+        match found {
+            Some((folder, name)) => Ok(format!("there is `{}`", folder.join(name).display())),
+            None => Err("there is no `AGENT/000000.npz` and no `AGENT/000000.npy`, at most two folders down".into()),
+        }
+    }
+
+    fn job(&self, dir: &Path, output: &Path, options: &Options) -> Result<Job, ImportError> {
+        Job::of_scenes(&LAYOUT, dir, output, options)
+    }
+}
+
+/// Folders of agents, each with the names of its sweeps by their numbers.
+type Agents = Vec<(PathBuf, BTreeMap<u64, String>)>;
+
+/// Scenes by their folders: `dir` itself, or those in it or in their splits.
+fn scenes(dir: &Path) -> Result<Vec<(PathBuf, Agents)>, ImportError> {
+    let mut scenes = Vec::new();
+    let mut open = vec![(dir.to_path_buf(), 0)];
+    while let Some((folder, depth)) = open.pop() {
+        let mut agents = Agents::new();
+        for inner in folders(&folder)? {
+            let frames = frames(&inner)?;
+            match frames.is_empty() {
+                false => agents.push((inner, frames)),
+                true if depth < 2 => open.push((inner, depth + 1)),
+                true => {}
+            }
+        }
+        if !agents.is_empty() {
+            scenes.push((folder, agents));
+        }
+    }
+    scenes.sort();
+    Ok(scenes)
+}
+
+fn folders(dir: &Path) -> Result<BTreeSet<PathBuf>, ImportError> {
+    let entries = fs::read_dir(dir).map_err(ImportError::io(dir))?;
+    let paths = entries.map(|entry| entry.map(|entry| entry.path()).map_err(ImportError::io(dir)));
+    let mut folders = paths.collect::<Result<BTreeSet<PathBuf>, ImportError>>()?;
+    folders.retain(|path| path.is_dir() && !name_of(path).starts_with(['.', '_']));
+    Ok(folders)
+}
+
+/// Names of sweeps by their numbers; a `.npz` has all, so it goes before a `.npy` of the same number.
+fn frames(agent: &Path) -> Result<BTreeMap<u64, String>, ImportError> {
+    let mut frames = BTreeMap::new();
+    for entry in fs::read_dir(agent).map_err(ImportError::io(agent))? {
+        let name = entry
+            .map_err(ImportError::io(agent))?
+            .file_name()
+            .to_string_lossy()
+            .into_owned();
+        let Some((stem, end @ ("npz" | "npy"))) = name.rsplit_once('.') else {
+            continue;
+        };
+        let is_number = !stem.is_empty() && stem.bytes().all(|byte| byte.is_ascii_digit());
+        if let Some(number) = stem.parse().ok().filter(|_| is_number) {
+            let is_better = end == "npz" || !frames.contains_key(&number);
+            if is_better {
+                frames.insert(number, name);
+            }
+        }
+    }
+    Ok(frames)
+}
+
+fn name_of(path: &Path) -> String {
+    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
+}
+
+impl Layout for NumpyLayout {
+    fn title(&self) -> &'static str {
+        "numpy"
+    }
+
+    fn find(&self, dir: &Path, _: &Options) -> Result<Found, ImportError> {
+        let scenes = scenes(dir)?;
+        if scenes.is_empty() {
+            let reason = format!("expected {}; found none at most two folders down", KIND.needs);
+            return Err(ImportError::content(dir, reason));
+        }
+        let scene = |(folder, agents): (PathBuf, Agents)| {
+            let below = folder.strip_prefix(dir).unwrap_or(&folder);
+            let names = below
+                .components()
+                .map(|part| part.as_os_str().to_string_lossy().into_owned());
+            let name = names.collect::<Vec<_>>().join("/");
+            let name = match name.is_empty() {
+                true => name_of(&fs::canonicalize(dir).unwrap_or_else(|_| dir.into())),
+                false => name,
+            };
+            Ok(Scene {
+                name,
+                agents: agents_of(agents)?,
+                unwanted: Vec::new(),
+            })
+        };
+        Ok(Found {
+            scenes: scenes.into_iter().map(scene).collect::<Result<_, ImportError>>()?,
+            ..Found::default()
+        })
+    }
+
+    fn sweep(&self, files: &SweepFiles, options: &Options) -> Result<RawSweep, FaultsOfSweep> {
+        let mut faults = FaultsOfSweep::default();
+        let is_archive = files.cloud.extension().is_some_and(|end| end == "npz");
+        let read = match is_archive {
+            true => archived(&files.cloud, options),
+            false => beside(files, options),
+        };
+        let sweep = faults.keep(FileKind::Cloud, read);
+        faults.or(sweep)
+    }
+
+    fn assumed(&self, options: &Options) -> Vec<String> {
+        vec![
+            "right-handed, x ahead, y to the left, z up; points and boxes in the frame of the agent's LiDAR, poses from it to the world".into(),
+            "points are x, y, z and, of four columns or more, intensity; boxes are x, y, z of the middle, length, width, height, yaw (rad)".into(),
+            format!("objects without a class are `{}` (--class); without a track each agent's are its own", options.class),
+        ]
+    }
+}
+
+/// The agents of a scene, vehicles first. A folder of `.npy` sweeps has a pose for each in `poses.npy`.
+fn agents_of(folders: Agents) -> Result<Vec<SceneAgent>, ImportError> {
+    let kind = |folder: &str| match ["-", "rsu", "infra"]
+        .iter()
+        .any(|begin| folder.to_lowercase().starts_with(begin))
+    {
+        true => AgentKind::Roadside,
+        false => AgentKind::Vehicle,
+    };
+    let mut folders: Vec<(AgentKind, String, PathBuf, BTreeMap<u64, String>)> = folders
+        .into_iter()
+        .map(|(path, frames)| (kind(&name_of(&path)), name_of(&path), path, frames))
+        .collect();
+    folders.sort_by(|a, b| (a.0, &a.1).cmp(&(b.0, &b.1)));
+    let mut agents: Vec<SceneAgent> = Vec::new();
+    for (kind, folder, path, frames) in folders {
+        let poses = match frames.values().any(|name| name.ends_with(".npy")) {
+            true => poses(&path.join(POSES), frames.len())?,
+            false => Vec::new(),
+        };
+        let sweep = |(place, (number, name)): (usize, (u64, String))| {
+            let stem = name.rsplit_once('.').map_or(&*name, |(stem, _)| stem);
+            let files = SweepFiles {
+                labels: path.join(format!("{stem}{BOXES}")),
+                cloud: path.join(&name),
+                map_from_lidar: poses.get(place).copied(),
+                ..SweepFiles::default()
+            };
+            (number, files)
+        };
+        let sweeps = frames.into_iter().enumerate().map(sweep).collect();
+        let name = agent_name(&folder, kind, |name| agents.iter().any(|agent| agent.name == name));
+        agents.push(SceneAgent {
+            folder,
+            name,
+            kind,
+            sweeps,
+        });
+    }
+    Ok(agents)
+}
+
+/// The poses of a folder's sweeps, one for each in the order of their numbers.
+fn poses(path: &Path, sweeps: usize) -> Result<Vec<Isometry3<f64>>, ImportError> {
+    let array = Array::read(path)?;
+    let wrong = |reason: String| ImportError::content(path, reason);
+    let (numbers, _) = array.numbers().map_err(wrong)?;
+    let width = match array.shape[..] {
+        [count, 4, 4] if count == sweeps => 16,
+        [count, width @ (7 | 12 | 16)] if count == sweeps => width,
+        _ => {
+            return Err(wrong(format!(
+                "expected a pose for each of the {sweeps} sweeps beside it, {sweeps}×4×4 or {sweeps}×7 (x, y, z, qx, qy, qz, qw), found the \
+                 shape {:?}",
+                array.shape
+            )));
+        }
+    };
+    numbers
+        .chunks_exact(width)
+        .map(|pose| pose_of(pose).map_err(wrong))
+        .collect()
+}
+
+/// World from LiDAR: a matrix, row by row, or x, y, z, qx, qy, qz, qw.
+fn pose_of(numbers: &[f64]) -> Result<Isometry3<f64>, String> {
+    if numbers.iter().any(|number| !number.is_finite()) {
+        return Err("expected a pose of finite numbers, found one that is not".into());
+    }
+    if let &[x, y, z, qx, qy, qz, qw] = numbers {
+        let turn = Quaternion::new(qw, qx, qy, qz);
+        return match (turn.norm() - 1.0).abs() < 0.01 {
+            true => Ok(Isometry3::from_parts(
+                Translation3::new(x, y, z),
+                UnitQuaternion::from_quaternion(turn),
+            )),
+            false => Err(format!(
+                "expected a quaternion qx, qy, qz, qw of length 1 behind x, y, z, found one of {:.3}",
+                turn.norm()
+            )),
+        };
+    }
+    let Some((&[a, b, c, x, d, e, f, y, g, h, i, z], [] | [0.0, 0.0, 0.0, 1.0])) = numbers.split_first_chunk::<12>()
+    else {
+        return Err(format!(
+            "expected a pose of 4×4 (last row 0, 0, 0, 1), 3×4 or 7 numbers (x, y, z, qx, qy, qz, qw), found {numbers:?}"
+        ));
+    };
+    let turn = Matrix3::new(a, b, c, d, e, f, g, h, i);
+    let off = (turn * turn.transpose() - Matrix3::identity()).norm();
+    if off > 0.01 || turn.determinant() < 0.0 {
+        return Err(format!(
+            "expected a right-handed rotation in the pose, found one whose product with its transpose is {off:.3} from the identity (determinant \
+             {:.3})",
+            turn.determinant()
+        ));
+    }
+    let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(turn));
+    Ok(Isometry3::from_parts(Vector3::new(x, y, z).into(), turn))
+}
+
+/// A sweep of an archive.
+fn archived(path: &Path, options: &Options) -> Result<RawSweep, ImportError> {
+    let mut arrays = Arrays::read(path)?;
+    let wrong = |reason: String| ImportError::content(path, reason);
+    let missing = |name: &str, names: String| wrong(format!("expected an array `{name}`, found {names}"));
+    let points_array = arrays.array("points").map_err(wrong)?;
+    let points_array = points_array.ok_or_else(|| missing("points", arrays.names()))?;
+    let pose = arrays.array("pose").map_err(wrong)?;
+    let pose = pose.ok_or_else(|| missing("pose", arrays.names()))?;
+    let pose = pose.numbers().and_then(|(numbers, _)| pose_of(numbers));
+    let mut optional = |name: &str| arrays.array(name).map_err(wrong);
+    let (boxes, classes, tracks) = (optional("boxes")?, optional("classes")?, optional("tracks")?);
+    let map_from_lidar = pose.map_err(|reason| wrong(format!("array `pose`: {reason}")))?;
+    let agent = name_of(path.parent().unwrap_or(path));
+    let labels = labels(
+        boxes.as_ref(),
+        classes.as_ref(),
+        tracks.as_ref(),
+        &agent,
+        &map_from_lidar,
+        options,
+    )
+    .map_err(wrong)?;
+    Ok(RawSweep {
+        map_from_lidar,
+        pose_of: None,
+        height: None,
+        points: points(&points_array).map_err(|reason| wrong(format!("array `points`: {reason}")))?,
+        labels,
+        dropped: 0,
+        view: None,
+    })
+}
+
+/// A sweep of points with its boxes beside it, where there are some.
+fn beside(files: &SweepFiles, options: &Options) -> Result<RawSweep, ImportError> {
+    let array = Array::read(&files.cloud)?;
+    let points = points(&array).map_err(|reason| ImportError::content(&files.cloud, reason))?;
+    let map_from_lidar = files.map_from_lidar.ok_or_else(|| {
+        let reason = format!("expected `{POSES}` beside it, with a pose for each sweep, found none");
+        ImportError::content(&files.cloud, reason)
+    })?;
+    let boxes = match files.labels.is_file() {
+        true => Some(Array::read(&files.labels)?),
+        false => None,
+    };
+    let agent = name_of(files.cloud.parent().unwrap_or(&files.cloud));
+    let labels = labels(boxes.as_ref(), None, None, &agent, &map_from_lidar, options);
+    Ok(RawSweep {
+        map_from_lidar,
+        pose_of: None,
+        height: None,
+        points,
+        labels: labels.map_err(|reason| ImportError::content(&files.labels, reason))?,
+        dropped: 0,
+        view: None,
+    })
+}
+
+fn points(array: &Array) -> Result<Points, String> {
+    let (_, kind) = array.numbers()?;
+    let mut points = Points::default();
+    let mut values = Vec::new();
+    for row in array.rows(3..=16)? {
+        points.x.push(row[0]);
+        points.y.push(row[1]);
+        points.z.push(row[2]);
+        values.push(row.get(3).map_or(0.0, |value| *value as f32));
+    }
+    points.intensity = Intensities::Others { kind, values };
+    Ok(points)
+}
+
+/// The labels of a sweep. Objects of one track are one, whoever labelled them.
+fn labels(
+    boxes: Option<&Array>,
+    classes: Option<&Array>,
+    tracks: Option<&Array>,
+    agent: &str,
+    map_from_lidar: &Isometry3<f64>,
+    options: &Options,
+) -> Result<Vec<Label>, String> {
+    let Some(boxes) = boxes else { return Ok(Vec::new()) };
+    let rows: Vec<&[f64]> = match boxes.shape[..] {
+        // numpy.array([]) has one axis.
+        [0] => Vec::new(),
+        _ => boxes
+            .rows(7..=7)
+            .map_err(|reason| format!("boxes: {reason}"))?
+            .collect(),
+    };
+    let same = |name: &str, array: Option<&Array>| match array {
+        Some(array) if array.shape != [rows.len()] => Err(format!(
+            "{name}: expected one for each of the {} boxes, found the shape {:?}",
+            rows.len(),
+            array.shape
+        )),
+        _ => Ok(()),
+    };
+    same("classes", classes)?;
+    same("tracks", tracks)?;
+    let tracks = tracks
+        .map(|tracks| tracks.numbers())
+        .transpose()?
+        .map(|(numbers, _)| numbers);
+    let class = |row: usize| match classes.map(|classes| &classes.items) {
+        Some(Items::Texts(texts)) => Ok(texts[row].clone()),
+        Some(Items::Numbers(..)) => Err("classes: expected names, as [\"Car\", \"Bus\"], found numbers".to_string()),
+        None => Ok(options.class.clone()),
+    };
+    let label = |(row, numbers): (usize, &&[f64])| {
+        let &[x, y, z, length, width, height, yaw] = *numbers else {
+            return Err(format!(
+                "boxes: expected 7 numbers in row {row}, found {}",
+                numbers.len()
+            ));
+        };
+        if numbers.iter().any(|number| !number.is_finite()) {
+            return Err(format!(
+                "boxes: expected finite numbers in row {row}, found {numbers:?}"
+            ));
+        }
+        let track = tracks.map(|tracks| tracks[row]);
+        let id = match track {
+            Some(track) => format!("{track}"),
+            None => format!("{agent}:{row}"),
+        };
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
+        Ok(Label {
+            track: track.and_then(|_| track_of(&id)),
+            id,
+            class: class(row)?,
+            map_from_object: map_from_lidar * Isometry3::from_parts(Translation3::new(x, y, z), turn),
+            size: [length, width, height],
+            speed: None,
+        })
+    };
+    rows.iter().enumerate().map(label).collect()
+}

@@ -1,0 +1,248 @@
+//! Folders of numpy's arrays, as archives and as files.
+
+use std::fs;
+use std::io::{Cursor, Write as _};
+use std::path::Path;
+
+use nalgebra::{Matrix4, Point3};
+use zip::write::SimpleFileOptions;
+use zip::{CompressionMethod, ZipWriter};
+
+use crate::AGENTS;
+use crate::layouts::write;
+use crate::reading::{import, read};
+use crate::round_trip::compare;
+use crate::world::{Agent, CARS, matrix};
+
+const START: i64 = 1_577_836_800_000_000_000;
+const PERIOD: i64 = 100_000_000;
+const FRAMES: u64 = 3;
+
+fn npy(descr: &str, shape: &str, bytes: &[u8]) -> Vec<u8> {
+    let head = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({shape}), }}\n");
+    let length = (head.len() as u16).to_le_bytes();
+    [b"\x93NUMPY\x01\x00", &length[..], head.as_bytes(), bytes].concat()
+}
+
+fn doubles(numbers: &[f64]) -> Vec<u8> {
+    numbers.iter().flat_map(|number| number.to_le_bytes()).collect()
+}
+
+/// Agents that are level, so that boxes in the frames of their LiDARs turn about z alone.
+fn agents() -> [Agent; 3] {
+    let named = |agent: Agent, folder| {
+        let [x, y, z, _, yaw, _] = agent.six;
+        Agent {
+            folder,
+            six: [x, y, z, 0.0, yaw, 0.0],
+            ..agent
+        }
+    };
+    [
+        named(AGENTS[0], "cav1"),
+        named(AGENTS[1], "2"),
+        named(AGENTS[2], "rsu1"),
+    ]
+}
+
+struct Sweep {
+    points: Vec<u8>,
+    pose: Matrix4<f64>,
+    boxes: Vec<u8>,
+    classes: Vec<u8>,
+    tracks: Vec<u8>,
+}
+
+fn sweep(agent: &Agent, number: usize, frame: u64) -> Sweep {
+    let pose = matrix(agent.at(frame));
+    let lidar_from_world = pose.try_inverse().unwrap();
+    let seen = agent.sees(frame, number);
+    let row = |point: &Point3<f64>| {
+        let at = lidar_from_world.transform_point(point);
+        [at.x as f32, at.y as f32, at.z as f32, 0.5]
+    };
+    let points: Vec<u8> = seen.iter().flat_map(row).flat_map(f32::to_le_bytes).collect();
+    let cars = agent
+        .labels
+        .iter()
+        .map(|id| CARS.iter().find(|car| car.id == *id).unwrap());
+    let (mut boxes, mut tracks, mut classes) = (Vec::new(), Vec::new(), Vec::new());
+    for car in cars {
+        let at = lidar_from_world.transform_point(&Point3::from(car.center));
+        boxes.extend([at.x, at.y, at.z]);
+        boxes.extend(car.size);
+        boxes.push((car.yaw - agent.six[4]).to_radians());
+        tracks.extend((car.id as i64).to_le_bytes());
+        classes.extend("Van".chars().flat_map(|c| (c as u32).to_le_bytes()));
+    }
+    let count = agent.labels.len();
+    Sweep {
+        points: npy("<f4", &format!("{}, 4", seen.len()), &points),
+        pose,
+        boxes: npy("<f8", &format!("{count}, 7"), &doubles(&boxes)),
+        tracks: npy("<i8", &format!("{count},"), &tracks),
+        classes: npy("<U3", &format!("{count},"), &classes),
+    }
+}
+
+fn row_by_row(pose: &Matrix4<f64>) -> Vec<u8> {
+    doubles(pose.transpose().as_slice())
+}
+
+fn npz(arrays: &[(&str, Vec<u8>)], method: CompressionMethod) -> Vec<u8> {
+    let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
+    for (name, bytes) in arrays {
+        let options = SimpleFileOptions::default().compression_method(method);
+        archive.start_file(format!("{name}.npy"), options).unwrap();
+        archive.write_all(bytes).unwrap();
+    }
+    archive.finish().unwrap().into_inner()
+}
+
+fn archives(dir: &Path, method: CompressionMethod) {
+    for (number, agent) in agents().iter().enumerate() {
+        for frame in 0..FRAMES {
+            let Sweep {
+                points,
+                pose,
+                boxes,
+                classes,
+                tracks,
+            } = sweep(agent, number, frame);
+            let arrays = [
+                ("points", points),
+                ("pose", npy("<f8", "4, 4", &row_by_row(&pose))),
+                ("boxes", boxes),
+                ("classes", classes),
+                ("tracks", tracks),
+            ];
+            write(
+                &dir.join(agent.folder).join(format!("{frame:06}.npz")),
+                &npz(&arrays, method),
+            );
+        }
+    }
+}
+
+fn compare_all(out: &Path, class: &str) {
+    let (_, found) = read(out);
+    assert_eq!(found.len(), 3 * FRAMES as usize);
+    for (number, (agent, name)) in agents().iter().zip(["cav1", "cav_2", "rsu1"]).enumerate() {
+        for frame in 0..FRAMES {
+            let read = &found[&(name.to_string(), START + frame as i64 * PERIOD)];
+            compare(read, agent, number, frame);
+            assert!(read.own.iter().all(|object| &*object.class == class));
+            assert_eq!(read.own.len(), agent.labels.len());
+        }
+    }
+}
+
+#[test]
+fn archives_of_arrays_come_back_with_points_poses_boxes_classes_and_tracks() {
+    for method in [CompressionMethod::Stored, CompressionMethod::Deflated] {
+        let dir = tempfile::tempdir().unwrap();
+        archives(&dir.path().join("data/scene"), method);
+        let out = dir.path().join("out.mcap");
+        let summary = &import("numpy", &dir.path().join("data"), &out, &[]).unwrap()[0];
+        assert_eq!(
+            (summary.scene.as_str(), summary.frames, summary.truth_boxes),
+            ("scene", 3, 36)
+        );
+        assert!(
+            summary.residuals.iter().all(|residual| residual.metres.unwrap() < 0.1),
+            "{summary}"
+        );
+        compare_all(&out, "Van");
+    }
+}
+
+#[test]
+fn files_of_arrays_have_their_boxes_and_poses_beside_them() {
+    let dir = tempfile::tempdir().unwrap();
+    let scene = dir.path().join("scene");
+    for (number, agent) in agents().iter().enumerate() {
+        let folder = scene.join(agent.folder);
+        let mut poses = Vec::new();
+        for frame in 0..FRAMES {
+            let sweep = sweep(agent, number, frame);
+            write(&folder.join(format!("{frame:06}.npy")), &sweep.points);
+            write(&folder.join(format!("{frame:06}_boxes.npy")), &sweep.boxes);
+            poses.extend(row_by_row(&sweep.pose));
+        }
+        write(&folder.join("poses.npy"), &npy("<f8", "3, 4, 4", &poses));
+    }
+    let out = dir.path().join("out.mcap");
+    import("numpy", &scene, &out, &[]).unwrap();
+    compare_all(&out, "Car");
+    let error = {
+        write(&scene.join("2/poses.npy"), &npy("<f8", "2, 7", &[0; 112]));
+        import("numpy", &scene, &out, &[]).unwrap_err()
+    };
+    assert!(
+        error.contains("poses.npy") && error.contains("each of the 3 sweeps") && error.contains("[2, 7]"),
+        "{error}"
+    );
+}
+
+#[test]
+fn what_an_archive_lacks_or_has_wrong_is_named() {
+    let sound = || {
+        let Sweep {
+            points, pose, boxes, ..
+        } = sweep(&agents()[0], 0, 0);
+        vec![
+            ("points", points),
+            ("pose", npy("<f8", "4, 4", &row_by_row(&pose))),
+            ("boxes", boxes),
+        ]
+    };
+    let lefthanded = Matrix4::from_diagonal(&nalgebra::Vector4::new(1.0, -1.0, 1.0, 1.0));
+    let cases: [(&str, Option<Vec<u8>>, &str); 7] = [
+        ("pose", None, "expected an array `pose`, found `points`, `boxes`"),
+        ("points", None, "expected an array `points`"),
+        ("pose", Some(npy("<f8", "6,", &doubles(&[0.0; 6]))), "a pose of 4×4"),
+        (
+            "pose",
+            Some(npy("<f8", "4, 4", &row_by_row(&lefthanded))),
+            "a right-handed rotation",
+        ),
+        (
+            "points",
+            Some(npy("<f4", "2, 2", &[0; 16])),
+            "array `points`: expected a matrix of 3 to 16 columns, found the shape [2, 2]",
+        ),
+        (
+            "boxes",
+            Some(npy("<f8", "1, 6", &[0; 48])),
+            "boxes: expected a matrix of 7 to 7 columns",
+        ),
+        (
+            "boxes",
+            Some(npy("<f8", "1, 7", &doubles(&[f64::NAN; 7]))),
+            "expected finite numbers in row 0",
+        ),
+    ];
+    for (name, other, expected) in cases {
+        let dir = tempfile::tempdir().unwrap();
+        let mut arrays = sound();
+        let place = arrays.iter().position(|(known, _)| *known == name).unwrap();
+        match other {
+            Some(bytes) => arrays[place].1 = bytes,
+            None => drop(arrays.remove(place)),
+        }
+        let path = dir.path().join("scene/1/000007.npz");
+        write(&path, &npz(&arrays, CompressionMethod::Stored));
+        let error = import("numpy", dir.path(), &dir.path().join("out.mcap"), &[]).unwrap_err();
+        assert!(
+            error.contains(expected) && error.contains("000007.npz"),
+            "{name}: {error}"
+        );
+    }
+    let dir = tempfile::tempdir().unwrap();
+    fs::create_dir_all(dir.path().join("scene/1")).unwrap();
+    let error = import("numpy", dir.path(), &dir.path().join("out.mcap"), &[]).unwrap_err();
+    assert!(error.contains("000000.npz") && error.contains("found none"), "{error}");
+    write(&dir.path().join("scene/1/000000.npz"), b"PK\x03\x04 half");
+    let error = import("numpy", dir.path(), &dir.path().join("out.mcap"), &[]).unwrap_err();
+    assert!(error.contains("no such archive"), "{error}");
+}
