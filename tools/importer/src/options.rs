@@ -116,6 +116,13 @@ pub const OPTIONS: &[OptionInfo] = &[
         "N",
         "Numbers of a point in `.bin` clouds: x, y, z, intensity and, of 5, one that is not read",
     ),
+    option("jobs", "COUNT", "Scenes at a time [default: one for each core]"),
+    OptionInfo {
+        name: "resume",
+        value: None,
+        choices: &[],
+        help: "Leave logs of scenes that are there already as they are, whatever options made them: an import that ended early goes on",
+    },
     OptionInfo {
         name: "skip-incomplete",
         value: None,
@@ -172,6 +179,10 @@ pub struct Options {
     pub agents: Vec<String>,
     /// Numbers of frames that are wanted, the second excluded.
     pub frames: [u64; 2],
+    /// Scenes at a time.
+    pub jobs: usize,
+    /// Leaves logs that are there as they are.
+    pub resume: bool,
     /// Leaves out incomplete frames.
     pub skip_incomplete: bool,
     /// Sweeps a second.
@@ -206,6 +217,8 @@ impl Default for Options {
             scenes: Vec::new(),
             agents: Vec::new(),
             frames: [0, u64::MAX],
+            jobs: std::thread::available_parallelism().map_or(1, usize::from),
+            resume: false,
             skip_incomplete: false,
             rate_hz: 10.0,
             stamp: SweepStamp::Start,
@@ -241,6 +254,11 @@ impl Options {
             "scenes" => self.scenes = list(text),
             "agents" => self.agents = list(text),
             "frames" => self.frames = range(text).ok_or_else(|| expected("`FROM..TO`, as `0..50`"))?,
+            "jobs" => {
+                let jobs = text.parse().ok().filter(|jobs| (1..=1024).contains(jobs));
+                self.jobs = jobs.ok_or_else(|| expected("1 to 1024"))?;
+            }
+            "resume" => self.resume = true,
             "skip-incomplete" => self.skip_incomplete = true,
             "rate" => self.rate_hz = within(text, 0.1, 1000.0).ok_or_else(|| expected("0.1 to 1000 Hz"))?,
             "stamp" if text == "start" => self.stamp = SweepStamp::Start,
@@ -322,13 +340,15 @@ mod tests {
             let fine = match info.name {
                 "scenes" | "agents" => "a, -1",
                 "frames" => "3..9",
-                "rate" | "columns" => "5",
+                "rate" | "columns" | "jobs" => "5",
                 "height" => "1.9",
                 "footprint" => "-2, 3,-1,1",
                 _ => info.choices.first().copied().unwrap_or("name"),
             };
             options.set(info.name, fine).unwrap();
-            if !info.choices.is_empty() || ["frames", "rate", "columns", "height", "footprint"].contains(&info.name) {
+            if !info.choices.is_empty()
+                || ["frames", "rate", "columns", "jobs", "height", "footprint"].contains(&info.name)
+            {
                 let error = options.set(info.name, "nonsense").unwrap_err();
                 assert!(
                     error.contains(info.name) && error.contains("found `nonsense`"),

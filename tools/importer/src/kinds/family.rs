@@ -79,7 +79,7 @@ pub const fn options(
     level: &'static str,
     handed: &'static str,
     cloud: &'static str,
-) -> [(&'static str, &'static str); 14] {
+) -> [(&'static str, &'static str); 16] {
     [
         ("scenes", ""),
         ("frames", ""),
@@ -94,6 +94,8 @@ pub const fn options(
         ("footprint", OPENCOOD_FOOTPRINT),
         ("cloud", cloud),
         ("columns", "4"),
+        ("jobs", ""),
+        ("resume", ""),
         ("skip-incomplete", ""),
     ]
 }

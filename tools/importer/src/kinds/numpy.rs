@@ -36,6 +36,8 @@ static KIND: Kind = Kind {
         ("height", "ground"),
         ("class", "Car"),
         ("footprint", "-1.95,2.95,-1.1,1.1"),
+        ("jobs", ""),
+        ("resume", ""),
         ("skip-incomplete", ""),
     ],
 };

@@ -1,7 +1,11 @@
 //! Which scenes become which logs, and the work of writing them.
 
-use std::collections::BTreeSet;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
+use std::sync::atomic::{AtomicUsize, Ordering};
+use std::sync::{Mutex, mpsc};
+
+use realo_logs::Log;
 
 use super::clock::Clock;
 use super::frame::numbers;
@@ -69,24 +73,37 @@ impl Work {
     /// All that is missing or damaged, at once; logs of scenes that are complete are written all the same.
     pub fn run(&self, progress: &mut dyn FnMut(u64, u64)) -> Result<Vec<SceneSummary>, ImportError> {
         let options = &self.options;
-        let all: usize = self
-            .found
-            .scenes
-            .iter()
-            .map(|scene| numbers(scene, options).len())
-            .sum();
-        let (mut done, mut summaries) = (0, Vec::new());
-        for ((scene, clock), output) in self.found.scenes.iter().zip(&self.clocks).zip(&self.outputs) {
-            if let Some(folder) = output.parent().filter(|folder| !folder.as_os_str().is_empty()) {
-                std::fs::create_dir_all(folder).map_err(ImportError::io(folder))?;
+        let scenes = &self.found.scenes;
+        let all: usize = scenes.iter().map(|scene| numbers(scene, options).len()).sum();
+        progress(0, all as u64);
+        let next = AtomicUsize::new(0);
+        let made: Mutex<BTreeMap<usize, Result<SceneSummary, ImportError>>> = Mutex::default();
+        let (tell, told) = mpsc::channel();
+        std::thread::scope(|scope| {
+            for _ in 0..options.jobs.clamp(1, scenes.len().max(1)) {
+                let (tell, next, made) = (tell.clone(), &next, &made);
+                scope.spawn(move || {
+                    loop {
+                        let place = next.fetch_add(1, Ordering::Relaxed);
+                        if place >= scenes.len() {
+                            return;
+                        }
+                        // The receiver outlives all senders.
+                        let summary = self.scene(place, || _ = tell.send(()));
+                        if summary.is_err() {
+                            // A disk that is full is so for all.
+                            next.store(scenes.len(), Ordering::Relaxed);
+                        }
+                        let mut made = made.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+                        made.insert(place, summary);
+                    }
+                });
             }
-            let import = SceneImport::new(self.layout, &self.dir, scene, clock.clone(), options);
-            progress(done, all as u64);
-            summaries.push(import.run(output, || {
-                done += 1;
-                progress(done, all as u64);
-            })?);
-        }
+            drop(tell);
+            (1..).zip(told).for_each(|(done, ())| progress(done, all as u64));
+        });
+        let made = made.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner());
+        let summaries = made.into_values().collect::<Result<Vec<SceneSummary>, ImportError>>()?;
         let incomplete: usize = summaries.iter().map(|summary| summary.incomplete_frames).sum();
         let is_found_whole = self.found.faults.by_cause.is_empty();
         let some = summaries.iter().any(|summary| summary.frames > 0);
@@ -102,6 +119,22 @@ impl Work {
             some,
             written: written.map(|log| log.display().to_string()).collect(),
         })
+    }
+
+    /// Writes the log of a scene, or finds that it is there; calls `progress` after each frame.
+    fn scene(&self, place: usize, mut progress: impl FnMut()) -> Result<SceneSummary, ImportError> {
+        let (scene, output, options) = (&self.found.scenes[place], &self.outputs[place], &self.options);
+        if options.resume && output.exists() {
+            Log::open(output)?;
+            let frames = numbers(scene, options).len();
+            (0..frames).for_each(|_| progress());
+            return Ok(SceneSummary::there(&scene.name, output, frames));
+        }
+        if let Some(folder) = output.parent().filter(|folder| !folder.as_os_str().is_empty()) {
+            std::fs::create_dir_all(folder).map_err(ImportError::io(folder))?;
+        }
+        let clock = self.clocks[place].clone();
+        SceneImport::new(self.layout, &self.dir, scene, clock, options).run(output, progress)
     }
 
     /// What is missing besides files of sweeps, in words; empty without any.

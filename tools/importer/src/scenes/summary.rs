@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use serde::Serialize;
 
@@ -38,6 +38,8 @@ pub struct SceneSummary {
     pub scene: String,
     /// The log; `None` if it was not written.
     pub log: Option<PathBuf>,
+    /// Whether the log was there already and is as it was; then only the frames that it should have are known.
+    pub was_there: bool,
     /// Its agents.
     pub agents: Vec<AgentSummary>,
     /// Frames that are in the log.
@@ -64,6 +66,13 @@ pub struct SceneSummary {
 
 impl fmt::Display for SceneSummary {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        if self.was_there {
+            return write!(
+                f,
+                "scene `{}`: its log is there and stays as it is (--resume)",
+                self.scene
+            );
+        }
         write!(f, "scene `{}`: {} frames", self.scene, self.frames)?;
         for agent in &self.agents {
             let AgentSummary {
@@ -114,6 +123,17 @@ impl fmt::Display for SceneSummary {
 }
 
 impl SceneSummary {
+    /// Of a scene whose log is there already.
+    pub fn there(scene: &str, log: &Path, frames: usize) -> Self {
+        SceneSummary {
+            scene: scene.into(),
+            log: Some(log.into()),
+            frames,
+            was_there: true,
+            ..SceneSummary::default()
+        }
+    }
+
     /// Whose labels the ground truth lacks.
     fn lacks(&self, f: &mut fmt::Formatter) -> fmt::Result {
         if !self.unwanted.is_empty() {

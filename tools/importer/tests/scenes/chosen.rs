@@ -8,6 +8,47 @@ use crate::layouts::OPV2V;
 use crate::reading::{import, read};
 
 #[test]
+fn an_import_goes_on_where_it_ended_and_is_the_same_for_any_number_of_jobs() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = dir.path().join("data");
+    for minute in 20..26 {
+        OPV2V.write(&data.join(format!("2021_08_16_22_{minute}_54")), &AGENTS);
+    }
+    let folder = |name: &str| dir.path().join(name);
+    let logs = |name: &str| -> Vec<(String, Vec<u8>)> {
+        let mut logs: Vec<(String, Vec<u8>)> = std::fs::read_dir(folder(name))
+            .unwrap()
+            .map(|entry| entry.unwrap())
+            .map(|entry| {
+                (
+                    entry.file_name().to_string_lossy().into_owned(),
+                    std::fs::read(entry.path()).unwrap(),
+                )
+            })
+            .collect();
+        logs.sort();
+        logs
+    };
+    import("opv2v", &data, &folder("one"), &[("jobs", "1")]).unwrap();
+    import("opv2v", &data, &folder("four"), &[("jobs", "4")]).unwrap();
+    assert_eq!(logs("one").len(), 6);
+    assert!(logs("one") == logs("four"));
+    std::fs::remove_file(folder("four").join("2021_08_16_22_23_54.mcap")).unwrap();
+    let summaries = import("opv2v", &data, &folder("four"), &[("resume", "")]).unwrap();
+    let there: Vec<bool> = summaries.iter().map(|summary| summary.was_there).collect();
+    assert_eq!(there, [true, true, true, false, true, true]);
+    assert!(
+        summaries[0].to_string().contains("its log is there and stays as it is"),
+        "{}",
+        summaries[0]
+    );
+    assert!(logs("one") == logs("four"));
+    std::fs::write(folder("four").join("2021_08_16_22_21_54.mcap"), b"half").unwrap();
+    let error = import("opv2v", &data, &folder("four"), &[("resume", "")]).unwrap_err();
+    assert!(error.contains("22_21_54.mcap"), "{error}");
+}
+
+#[test]
 fn each_scene_is_a_log_and_one_can_be_chosen() {
     let dir = tempfile::tempdir().unwrap();
     let (data, out) = (dir.path().join("data"), dir.path().join("logs"));
