@@ -76,107 +76,42 @@ impl Draft {
     }
 
     fn agent(&mut self, group: &Group, spaces: &BTreeSet<String>, bags: &[&Path], groups: usize) {
-        let several = bags.len() > 1;
         let Group {
-            survey,
-            space,
-            base,
-            clouds,
+            survey, base, clouds, ..
         } = group;
-        let stem = survey.path.file_stem().unwrap_or_default().to_string_lossy();
-        let wanted = match (space.is_empty(), several, groups) {
-            (false, ..) => space.clone(),
-            (true, true, _) => named(&stem),
-            (true, false, 1) => "ego".into(),
-            (true, false, _) => named(base),
+        let several = bags.len() > 1;
+        let name = self.free_name(group, several, groups);
+        let mut remark = |field, words: String| {
+            self.why.insert((name.clone(), field), words);
         };
-        let mut name = wanted.clone();
-        for number in 2.. {
-            if !self.map.agents.contains_key(&name) {
-                break;
-            }
-            name = format!("{wanted}_{number}");
-        }
         let main = clouds
             .iter()
             .max_by_key(|topic| (topic.points, topic.messages))
             .expect("a group has clouds");
-        let mut remark = |field, words: String| {
-            self.why.insert((name.clone(), field), words);
-        };
-        let others: Vec<&str> = clouds
-            .iter()
-            .filter(|topic| topic.topic != main.topic)
-            .map(|t| t.topic.as_str())
-            .collect();
+        let others = clouds.iter().filter(|topic| topic.topic != main.topic);
+        let others: Vec<&str> = others.map(|topic| topic.topic.as_str()).collect();
         if !others.is_empty() {
             remark("clouds", format!("the most points; it has {} too", others.join(", ")));
         }
-        let is_fixed_to = main.frames.iter().any(|frame| frame != base);
-        remark(
-            "frame",
-            match is_fixed_to {
-                true => format!(
-                    "`{}` is fixed to it",
-                    main.frames.iter().cloned().collect::<Vec<_>>().join(" ")
-                ),
-                false => "the frame of its clouds, which no transform fixes to another".into(),
-            },
-        );
-        let ours = |kind: Kind| {
-            let topics = survey.of_kind(kind).filter(|topic| topic.messages > 0);
-            topics.filter(|topic| {
-                let its = space_of(&topic.topic);
-                its == *space || (space.is_empty() && !spaces.contains(its)) || (!spaces.contains(its) && groups == 1)
-            })
+        let frames = main.frames.iter().cloned().collect::<Vec<_>>().join(" ");
+        let words = match main.frames.iter().any(|frame| frame != base) {
+            true => format!("`{frames}` is fixed to it"),
+            false => "the frame of its clouds, which no transform fixes to another".into(),
         };
-        let most = |kind: Kind| ours(kind).max_by_key(|topic| (topic.children.contains(base), topic.messages));
-        let posed = [Kind::Odometry, Kind::PoseStamped, Kind::PoseWithCovarianceStamped]
-            .into_iter()
-            .find_map(most);
-        let moves = survey.root_of(base) != *base;
-        let (pose, world, imu) = match (posed, moves, most(Kind::NavSatFix)) {
-            (Some(topic), ..) => {
-                let frame = topic.frames.iter().next().cloned().unwrap_or_default();
-                remark("pose", topic.kind.clone());
-                (PoseSource::Topic(topic.topic.clone()), survey.root_of(&frame), None)
-            }
-            (None, true, _) => {
-                let root = survey.root_of(base);
-                remark("pose", format!("transforms from `{root}` to `{base}`"));
-                (PoseSource::Tf, root, None)
-            }
-            (None, false, Some(fix)) => {
-                let imu = most(Kind::Imu).map(|topic| topic.topic.clone());
-                remark(
-                    "pose",
-                    "positions; the first one is the map's origin where `map_origin` says no other".into(),
-                );
-                (PoseSource::Topic(fix.topic.clone()), "map".into(), imu)
-            }
-            (None, false, None) => {
-                remark(
-                    "pose",
-                    "NOTHING SAYS WHERE IT IS: name a topic, or write [x, y, z, yaw] if it stands still".into(),
-                );
-                (PoseSource::Tf, String::new(), None)
-            }
-        };
-        if self.map.world.is_empty() && !world.is_empty() {
+        remark("frame", words);
+        let posed = group.pose(spaces, groups);
+        remark("pose", posed.why);
+        if self.map.world.is_empty() && !posed.world.is_empty() {
             self.world = format!("the frame of the poses of {name}");
-            self.map.world = world;
+            self.map.world = posed.world;
         }
-        let is_truth = |topic: &TopicSurvey| {
-            let name = topic.topic.to_ascii_lowercase();
-            ["truth", "label", "annotation", "gt_", "_gt", "/gt"]
-                .iter()
-                .any(|word| name.contains(word))
+        let objects = || {
+            let arrays = group.topics(Kind::Detection3DArray, spaces, groups);
+            arrays.chain(group.topics(Kind::MarkerArray, spaces, groups))
         };
-        let objects = || ours(Kind::Detection3DArray).chain(ours(Kind::MarkerArray));
-        let truth = objects().find(|topic| is_truth(topic)).map(|topic| topic.topic.clone());
-        let detections = ours(Kind::Detection3DArray)
-            .find(|topic| !is_truth(topic))
-            .map(|topic| topic.topic.clone());
+        let truth = objects().find(|topic| is_truth(topic));
+        let mut arrays = group.topics(Kind::Detection3DArray, spaces, groups);
+        let detections = arrays.find(|topic| !is_truth(topic));
         let lower = name.to_ascii_lowercase();
         let stands = ["rsu", "infra", "road", "mast"].iter().any(|word| lower.contains(word));
         let agent = AgentMap {
@@ -190,15 +125,98 @@ impl Draft {
             frame: base.clone(),
             height: Height::Ground,
             footprint: None,
-            pose,
-            imu,
-            truth,
-            detections,
+            pose: posed.source,
+            imu: posed.imu,
+            truth: truth.map(|topic| topic.topic.clone()),
+            detections: detections.map(|topic| topic.topic.clone()),
             mounts: BTreeMap::new(),
             offset: None,
         };
         self.map.agents.insert(name, agent);
     }
+
+    /// A name for the agent of a group that no other has.
+    fn free_name(&self, group: &Group, several: bool, groups: usize) -> String {
+        let Group {
+            survey, space, base, ..
+        } = group;
+        let stem = survey.path.file_stem().unwrap_or_default().to_string_lossy();
+        let wanted = match (space.is_empty(), several, groups) {
+            (false, ..) => space.clone(),
+            (true, true, _) => named(&stem),
+            (true, false, 1) => "ego".into(),
+            (true, false, _) => named(base),
+        };
+        let others = (2..).map(|number| format!("{wanted}_{number}"));
+        let mut names = std::iter::once(wanted.clone()).chain(others);
+        names.find(|name| !self.map.agents.contains_key(name)).unwrap_or(wanted)
+    }
+}
+
+/// What says where an agent is.
+struct Posed {
+    source: PoseSource,
+    /// The frame of its poses; empty where nothing says it.
+    world: String,
+    /// Topic of the attitude, where positions alone are said.
+    imu: Option<String>,
+    why: String,
+}
+
+impl<'a> Group<'a> {
+    /// Its topics of a kind: those of its space of names, and those of no other's.
+    fn topics(
+        &self,
+        kind: Kind,
+        spaces: &'a BTreeSet<String>,
+        groups: usize,
+    ) -> impl Iterator<Item = &'a TopicSurvey> + use<'a> {
+        let space = self.space.clone();
+        let topics = self.survey.of_kind(kind).filter(|topic| topic.messages > 0);
+        topics.filter(move |topic| {
+            let its = space_of(&topic.topic);
+            its == space || (!spaces.contains(its) && (space.is_empty() || groups == 1))
+        })
+    }
+
+    /// What says where its agent is, the best of what there is.
+    fn pose(&self, spaces: &'a BTreeSet<String>, groups: usize) -> Posed {
+        let Group { survey, base, .. } = self;
+        let most = |kind: Kind| {
+            let topics = self.topics(kind, spaces, groups);
+            topics.max_by_key(|topic| (topic.children.contains(base), topic.messages))
+        };
+        let posed = [Kind::Odometry, Kind::PoseStamped, Kind::PoseWithCovarianceStamped];
+        let (source, world, imu, why) = if let Some(topic) = posed.into_iter().find_map(most) {
+            let frame = topic.frames.iter().next().cloned().unwrap_or_default();
+            let source = PoseSource::Topic(topic.topic.clone());
+            (source, survey.root_of(&frame), None, topic.kind.clone())
+        } else if survey.root_of(base) != *base {
+            let root = survey.root_of(base);
+            let why = format!("transforms from `{root}` to `{base}`");
+            (PoseSource::Tf, root, None, why)
+        } else if let Some(fix) = most(Kind::NavSatFix) {
+            let imu = most(Kind::Imu).map(|topic| topic.topic.clone());
+            let why = "positions; the first one is the map's origin where `map_origin` says no other";
+            (PoseSource::Topic(fix.topic.clone()), "map".into(), imu, why.into())
+        } else {
+            let why = "NOTHING SAYS WHERE IT IS: name a topic, or write [x, y, z, yaw] if it stands still";
+            (PoseSource::Tf, String::new(), None, why.into())
+        };
+        Posed {
+            source,
+            world,
+            imu,
+            why,
+        }
+    }
+}
+
+/// Whether a topic's name says that its objects are the truth.
+fn is_truth(topic: &TopicSurvey) -> bool {
+    let name = topic.topic.to_ascii_lowercase();
+    let words = ["truth", "label", "annotation", "gt_", "_gt", "/gt"];
+    words.iter().any(|word| name.contains(word))
 }
 
 /// The last parts of the path of a bag that no other of the bags ends with; the whole path where there are none.

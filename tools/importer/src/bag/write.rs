@@ -55,112 +55,35 @@ pub fn write(
         .iter()
         .any(|agent| agent.pose.as_ref().is_some_and(|pose| pose.kind == Kind::NavSatFix));
     let origin = origin.filter(|_| is_earth || import.map.map_origin.is_some());
-    let mut log = LogWriter::create_atomic(output, &info(import, &small, &states, origin))?;
-    let all: u64 = import
-        .agents
-        .iter()
-        .flat_map(|agent| agent.clouds.iter().map(move |topic| (agent.bag, topic.connection)))
-        .map(|(bag, connection)| import.bags[bag].connections()[connection].messages)
-        .sum();
-    let mut readers = Vec::new();
-    for (place, track) in tracks.iter().enumerate() {
+    let mut readers = readers(import, &small, clocks, &tracks, &states)?;
+    let mut writing = Writing {
+        log: LogWriter::create_atomic(output, &info(import, &small, &states, origin))?,
+        import,
+        clocks,
+        tracks: &tracks,
+        states,
+        summary: BagSummary::default(),
+    };
+    writing.sweeps(&mut readers, &mut faults, report)?;
+    writing.summary.limited_intensities = readers.iter().map(|reader| reader.limited).sum();
+    writing.finish(output, faults)
+}
+
+/// What reads the sweeps of each agent.
+fn readers<'a>(
+    import: &'a Import,
+    small: &'a Small,
+    clocks: &Clocks,
+    tracks: &'a [Track],
+    states: &[State],
+) -> Result<Vec<Sweeps<'a>>, ImportError> {
+    let reader = |(place, track): (usize, &'a Track)| {
         let AgentSmall { heads, .. } = &small.agents[place];
         let frames = &small.bags[import.agents[place].bag].frames;
         let clock = clocks.agents[place].clone();
-        readers.push(Sweeps::new(
-            import,
-            place,
-            frames,
-            track,
-            heads,
-            clock,
-            states[place].height,
-        )?);
-    }
-    let mut summary = BagSummary::default();
-    let mut next: Vec<Option<Sweep>> = Vec::new();
-    for reader in &mut readers {
-        next.push(reader.next(&mut faults)?);
-    }
-    loop {
-        let soonest = (0..next.len()).filter(|place| next[*place].is_some());
-        let soonest = soonest.min_by_key(|place| next[*place].as_ref().map(|sweep| sweep.ready));
-        let Some((place, sweep)) = soonest.and_then(|place| Some((place, next[place].take()?))) else {
-            break;
-        };
-        for (other, track) in tracks.iter().enumerate() {
-            poses(&mut log, import, clocks, other, &mut states[other], track, sweep.ready)?;
-        }
-        one(
-            &mut log,
-            import,
-            clocks,
-            place,
-            &mut states[place],
-            &sweep,
-            &mut summary,
-        )?;
-        compare(import, &states, place, &sweep, &mut summary);
-        states[place].last = Some(sweep);
-        report("importing", readers.iter().map(|reader| reader.read).sum(), all);
-        next[place] = readers[place].next(&mut faults)?;
-    }
-    for (place, track) in tracks.iter().enumerate() {
-        // A run needs no poses long after the last sweep.
-        let until = states[place]
-            .last
-            .as_ref()
-            .map_or(Nanos::MIN, |sweep| sweep.ready.saturating_add(500_000_000));
-        poses(&mut log, import, clocks, place, &mut states[place], track, until)?;
-    }
-    summary.limited_intensities = readers.iter().map(|reader| reader.limited).sum();
-    if let Some((agent, _)) = import
-        .agents
-        .iter()
-        .zip(&states)
-        .find(|(_, state)| state.last.is_none())
-    {
-        let reasons: Vec<String> = faults
-            .0
-            .iter()
-            .map(|(reason, n)| format!("\n  {n} × {reason}"))
-            .collect();
-        let path = import.bags[agent.bag].path();
-        let reason = format!(
-            "agent `{}`: expected sweeps, none is left:{}",
-            agent.name,
-            reasons.concat()
-        );
-        return Err(ImportError::content(path, reason));
-    }
-    let levelled = |(agent, state): (&Agent, &State)| {
-        let levelled = Levelled {
-            by: Levelled::BY_POSE.into(),
-            degrees: state.tilts,
-        };
-        (agent.name.clone(), levelled)
+        Sweeps::new(import, place, frames, track, heads, clock, states[place].height)
     };
-    log.levelled(import.agents.iter().zip(&states).map(levelled).collect());
-    log.finish()?;
-    Ok(BagSummary {
-        log: output.into(),
-        bags: import
-            .bags
-            .iter()
-            .map(|bag| format!("`{}`, {}", bag.path().display(), bag.format()))
-            .collect(),
-        notes: import.bags.iter().flat_map(|bag| bag.notes().iter().cloned()).collect(),
-        agents: states.into_iter().map(|state| state.summary).collect(),
-        clocks: clocks.words.clone(),
-        left_out: faults.0,
-        draft: import.draft.clone(),
-        world: format!(
-            "the world is `{}`, stamps are {} times (`world` and `clock` in the map file)",
-            import.map.world,
-            import.map.clock.as_str()
-        ),
-        ..summary
-    })
+    tracks.iter().enumerate().map(reader).collect()
 }
 
 fn state(
@@ -257,97 +180,181 @@ fn info(import: &Import, small: &Small, states: &[State], origin: Option<[f64; 3
     info
 }
 
-/// Writes the poses of an agent that were there at a time of the log.
-fn poses(
-    log: &mut LogWriter,
-    import: &Import,
-    clocks: &Clocks,
-    place: usize,
-    state: &mut State,
-    track: &Track,
-    until: Nanos,
-) -> Result<(), ImportError> {
-    if track.is_fixed {
-        return Ok(());
-    }
-    let clock = &clocks.agents[place];
-    while let Some((stamp, log_time, world_from_frame)) = track.poses.get(state.posed) {
-        let stamp = stamp.saturating_add(clock.stamp);
-        let ready = log_time.saturating_add(clock.ready).max(stamp);
-        if ready > until {
-            break;
+/// A log that is written.
+struct Writing<'a> {
+    log: LogWriter,
+    import: &'a Import,
+    clocks: &'a Clocks,
+    tracks: &'a [Track],
+    states: Vec<State>,
+    summary: BagSummary,
+}
+
+impl Writing<'_> {
+    /// Writes the sweeps of all agents in the order in which they were there, with what belongs to them.
+    fn sweeps(
+        &mut self,
+        readers: &mut [Sweeps],
+        faults: &mut Counted,
+        report: &mut dyn FnMut(&'static str, u64, u64),
+    ) -> Result<(), ImportError> {
+        let import = self.import;
+        let messages = |agent: &Agent| {
+            let connections = import.bags[agent.bag].connections();
+            let of = agent.clouds.iter().map(|topic| connections[topic.connection].messages);
+            of.sum::<u64>()
+        };
+        let all = import.agents.iter().map(messages).sum();
+        let mut next: Vec<Option<Sweep>> = Vec::new();
+        for reader in readers.iter_mut() {
+            next.push(reader.next(faults)?);
         }
-        state.posed += 1;
-        if stamp >= 0 {
-            let body = world_from_frame * by_pose(&world_from_frame.rotation, state.height).inverse();
-            log.pose(&import.agents[place].name, stamp, ready, &recorded(body))?;
+        loop {
+            let soonest = (0..next.len()).filter(|place| next[*place].is_some());
+            let soonest = soonest.min_by_key(|place| next[*place].as_ref().map(|sweep| sweep.ready));
+            let Some((place, sweep)) = soonest.and_then(|place| Some((place, next[place].take()?))) else {
+                break;
+            };
+            for other in 0..self.states.len() {
+                self.poses(other, sweep.ready)?;
+            }
+            self.sweep(place, &sweep)?;
+            self.compare(place, &sweep);
+            self.states[place].last = Some(sweep);
+            report("importing", readers.iter().map(|reader| reader.read).sum(), all);
+            next[place] = readers[place].next(faults)?;
+        }
+        for place in 0..self.states.len() {
+            // A run needs no poses long after the last sweep.
+            let last = self.states[place].last.as_ref();
+            let until = last.map_or(Nanos::MIN, |sweep| sweep.ready.saturating_add(500_000_000));
+            self.poses(place, until)?;
+        }
+        Ok(())
+    }
+
+    /// Writes the poses of an agent that were there at a time of the log.
+    fn poses(&mut self, place: usize, until: Nanos) -> Result<(), ImportError> {
+        let (track, clock, state) = (&self.tracks[place], &self.clocks.agents[place], &mut self.states[place]);
+        if track.is_fixed {
+            return Ok(());
+        }
+        while let Some((stamp, log_time, world_from_frame)) = track.poses.get(state.posed) {
+            let stamp = stamp.saturating_add(clock.stamp);
+            let ready = log_time.saturating_add(clock.ready).max(stamp);
+            if ready > until {
+                break;
+            }
+            state.posed += 1;
+            if stamp >= 0 {
+                let body = world_from_frame * by_pose(&world_from_frame.rotation, state.height).inverse();
+                let name = &self.import.agents[place].name;
+                self.log.pose(name, stamp, ready, &recorded(body))?;
+                state.summary.poses += 1;
+            }
+        }
+        Ok(())
+    }
+
+    /// Writes a sweep with what belongs to it.
+    fn sweep(&mut self, place: usize, sweep: &Sweep) -> Result<(), ImportError> {
+        let (agent, clock) = (&self.import.agents[place], &self.clocks.agents[place]);
+        let (log, state) = (&mut self.log, &mut self.states[place]);
+        let (name, stamp, ready) = (&agent.name, sweep.stamp.saturating_add(clock.stamp), sweep.ready);
+        if state.sparse {
+            log.pose(name, stamp, ready, &recorded(sweep.world_from_body))?;
             state.summary.poses += 1;
         }
-    }
-    Ok(())
-}
-
-/// Writes a sweep with what belongs to it.
-fn one(
-    log: &mut LogWriter,
-    import: &Import,
-    clocks: &Clocks,
-    place: usize,
-    state: &mut State,
-    sweep: &Sweep,
-    summary: &mut BagSummary,
-) -> Result<(), ImportError> {
-    let agent = &import.agents[place];
-    let clock = &clocks.agents[place];
-    let (name, stamp, ready) = (&agent.name, sweep.stamp.saturating_add(clock.stamp), sweep.ready);
-    if state.sparse {
-        log.pose(name, stamp, ready, &recorded(sweep.world_from_body))?;
-        state.summary.poses += 1;
-    }
-    log.cloud(name, stamp, ready, &sweep.cloud)?;
-    state.summary.sweeps += 1;
-    state.summary.points += sweep.cloud.len();
-    state.tilts = [state.tilts[0].min(sweep.tilt), state.tilts[1].max(sweep.tilt)];
-    let found = |timeline: &Option<Timeline>, bridge| {
-        let timeline = timeline.as_ref()?;
-        timeline.at(sweep.stamp, bridge, &sweep.world_from_body, &import.map)
-    };
-    if let Some(mut truth) = found(&state.truth, true) {
-        // What is centred in the outline is the agent itself.
-        if let Some([x0, x1, y0, y1]) = agent.map.footprint {
-            let is_itself = |[x, y, _]: [f64; 3]| (x0..=x1).contains(&x) && (y0..=y1).contains(&y);
-            truth.boxes.retain(|object| !is_itself(object.center));
-        }
-        let points = points_in_boxes(&sweep.cloud, &truth.boxes);
-        log.truth(name, stamp, ready, &truth.boxes, Some(&points), true)?;
-        state.summary.truths += 1;
-        state.summary.moved_truths += usize::from(truth.is_moved);
-        for object in &truth.boxes {
-            *summary.classes.entry(object.class.to_string()).or_default() += 1;
-        }
-    }
-    if let Some(detections) = found(&state.detections, false) {
-        let there = detections.log_time.saturating_add(clock.ready).max(ready);
-        log.detections(name, stamp, there, &Boxes(detections.boxes))?;
-        state.summary.detections += 1;
-    }
-    Ok(())
-}
-
-/// Compares the clouds of every two agents, once.
-fn compare(import: &Import, states: &[State], place: usize, sweep: &Sweep, summary: &mut BagSummary) {
-    let name = &import.agents[place].name;
-    for (agent, state) in import.agents.iter().zip(states) {
-        let Some(other) = state.last.as_ref().filter(|_| agent.name != *name) else {
-            continue;
+        log.cloud(name, stamp, ready, &sweep.cloud)?;
+        state.summary.sweeps += 1;
+        state.summary.points += sweep.cloud.len();
+        state.tilts = [state.tilts[0].min(sweep.tilt), state.tilts[1].max(sweep.tilt)];
+        let found = |timeline: &Option<Timeline>, bridge| {
+            let timeline = timeline.as_ref()?;
+            timeline.at(sweep.stamp, bridge, &sweep.world_from_body, &self.import.map)
         };
-        let is_known = |known: &crate::Residual| known.agents.contains(name) && known.agents.contains(&agent.name);
-        if (other.ready - sweep.ready).abs() > COMPARED || summary.residuals.iter().any(is_known) {
-            continue;
+        if let Some(mut truth) = found(&state.truth, true) {
+            // What is centred in the outline is the agent itself.
+            if let Some([x0, x1, y0, y1]) = agent.map.footprint {
+                let is_itself = |[x, y, _]: [f64; 3]| (x0..=x1).contains(&x) && (y0..=y1).contains(&y);
+                truth.boxes.retain(|object| !is_itself(object.center));
+            }
+            let points = points_in_boxes(&sweep.cloud, &truth.boxes);
+            log.truth(name, stamp, ready, &truth.boxes, Some(&points), true)?;
+            state.summary.truths += 1;
+            state.summary.moved_truths += usize::from(truth.is_moved);
+            for object in &truth.boxes {
+                *self.summary.classes.entry(object.class.to_string()).or_default() += 1;
+            }
         }
-        summary
-            .residuals
-            .extend(residual(&placed(name, sweep), &placed(&agent.name, other)));
+        if let Some(detections) = found(&state.detections, false) {
+            let there = detections.log_time.saturating_add(clock.ready).max(ready);
+            log.detections(name, stamp, there, &Boxes(detections.boxes))?;
+            state.summary.detections += 1;
+        }
+        Ok(())
+    }
+
+    /// Compares the clouds of every two agents, once.
+    fn compare(&mut self, place: usize, sweep: &Sweep) {
+        let (name, residuals) = (&self.import.agents[place].name, &mut self.summary.residuals);
+        for (agent, state) in self.import.agents.iter().zip(&self.states) {
+            let Some(other) = state.last.as_ref().filter(|_| agent.name != *name) else {
+                continue;
+            };
+            let is_known = |known: &crate::Residual| known.agents.contains(name) && known.agents.contains(&agent.name);
+            if (other.ready - sweep.ready).abs() > COMPARED || residuals.iter().any(is_known) {
+                continue;
+            }
+            residuals.extend(residual(&placed(name, sweep), &placed(&agent.name, other)));
+        }
+    }
+
+    /// Ends the log; an agent without sweeps is an error, with why it has none.
+    fn finish(self, output: &Path, faults: Counted) -> Result<BagSummary, ImportError> {
+        let Writing {
+            mut log,
+            import,
+            clocks,
+            states,
+            summary,
+            ..
+        } = self;
+        let mut agents = import.agents.iter().zip(&states);
+        if let Some((agent, _)) = agents.find(|(_, state)| state.last.is_none()) {
+            let reasons = faults.0.iter().map(|(reason, n)| format!("\n  {n} × {reason}"));
+            let (name, reasons) = (&agent.name, reasons.collect::<String>());
+            let reason = format!("agent `{name}`: expected sweeps, none is left:{reasons}");
+            return Err(ImportError::content(import.bags[agent.bag].path(), reason));
+        }
+        let levelled = |(agent, state): (&Agent, &State)| {
+            let levelled = Levelled {
+                by: Levelled::BY_POSE.into(),
+                degrees: state.tilts,
+            };
+            (agent.name.clone(), levelled)
+        };
+        log.levelled(import.agents.iter().zip(&states).map(levelled).collect());
+        log.finish()?;
+        let bags = import.bags.iter();
+        Ok(BagSummary {
+            log: output.into(),
+            bags: bags
+                .clone()
+                .map(|bag| format!("`{}`, {}", bag.path().display(), bag.format()))
+                .collect(),
+            notes: bags.flat_map(|bag| bag.notes().iter().cloned()).collect(),
+            agents: states.into_iter().map(|state| state.summary).collect(),
+            clocks: clocks.words.clone(),
+            left_out: faults.0,
+            draft: import.draft.clone(),
+            world: format!(
+                "the world is `{}`, stamps are {} times (`world` and `clock` in the map file)",
+                import.map.world,
+                import.map.clock.as_str()
+            ),
+            ..summary
+        })
     }
 }
 
