@@ -9,6 +9,8 @@ mod guide;
 mod maps;
 #[path = "plugins/python.rs"]
 mod python;
+#[path = "plugins/ray.rs"]
+mod ray;
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
