@@ -324,13 +324,22 @@ fn take_books(result: &mut RunResult, books: &Books) {
             failed_runs: u64::from(has_failed(node)),
             counters: node.counters.clone(),
             losses: node.losses.iter().filter_map(happened).collect(),
+            sent: node
+                .outputs
+                .iter()
+                .map(|(port, sent)| (port.clone(), sent.total()))
+                .collect(),
             ..NodeSummary::default()
         };
         node.clocks.iter().for_each(|clock| result.add_clock(clock));
         let busy = skipped_of_others(node, &result.egos);
         summary.losses.extend(happened((&"skipped".into(), &busy)));
         for (port, input) in &node.inputs {
-            summary.skipped += input.skipped.total();
+            let skipped = input.skipped.total();
+            summary.skipped += skipped;
+            summary
+                .skipped_at
+                .extend((skipped > 0).then(|| (port.clone(), skipped)));
             summary.unjoined += input.unjoined.total();
             let edge = EdgeBooks {
                 lost: input.transport_lost,

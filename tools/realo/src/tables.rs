@@ -67,7 +67,7 @@ pub fn table(runs: &[(&str, &Run)]) -> String {
 }
 
 /// Columns of the terminal: what `COLUMNS` says, else what standard output has, else 80.
-fn width() -> usize {
+pub(crate) fn width() -> usize {
     const USUAL: usize = 80;
     const LEAST: usize = 40;
     let said = std::env::var("COLUMNS").ok().and_then(|columns| columns.parse().ok());
