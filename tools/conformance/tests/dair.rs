@@ -205,12 +205,7 @@ fn late_fusion(pairs: &[Pair], who: Who) -> Evaluation {
             vec![through(&mut nms, "proposals", other).unwrap()]
         };
         assert!(through(&mut fusion, "ego", own).is_none());
-        let fused = through(
-            &mut fusion,
-            "selections",
-            Message::new(ego, Selection { query: seq, entries }),
-        )
-        .unwrap();
+        let fused = through(&mut fusion, "selections", Message::new(ego, Selection { query: seq, entries })).unwrap();
         let boxes = through(&mut joint_nms, "proposals", fused).unwrap();
         let truth = GroundTruth {
             boxes: pair.truth.clone(),
