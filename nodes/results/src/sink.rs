@@ -100,8 +100,7 @@ pub struct Results {
     estimates: Estimates,
     /// What the ways from agents on other machines were like.
     courses: BTreeMap<String, Vec<Phase>>,
-    /// Where nobody prepared the run, it speaks for itself.
-    progress: Option<Progress>,
+    progress: Progress,
 }
 
 /// What comes in.
@@ -158,7 +157,7 @@ impl Sink for Results {
             truth: Sweeps::default(),
             realtime: false,
             estimates: Estimates::default(),
-            progress: settings.run_settings.as_os_str().is_empty().then(Progress::new),
+            progress: Progress::new(&settings.out, !settings.run_settings.as_os_str().is_empty()),
             courses: BTreeMap::new(),
             out: settings.out,
         })
@@ -167,9 +166,7 @@ impl Sink for Results {
     fn accept(&mut self, input: Input) -> Result<(), Error> {
         match input {
             Input::Boxes(header, _) => {
-                if let (Some(progress), Some(_)) = (&mut self.progress, header.clock) {
-                    progress.boxes(header.stamp);
-                }
+                self.progress.boxes(header.stamp, header.clock.is_some());
                 self.take_boxes(&header);
             }
             Input::Truth(header, truth) => self.take_truth(&header, &truth),
@@ -189,9 +186,7 @@ impl Sink for Results {
 
     fn fates(&mut self, fates: &[Fated]) -> Result<(), Error> {
         fates.iter().for_each(|fated| self.ledger.take(fated));
-        if let Some(progress) = &mut self.progress {
-            progress.fates(fates);
-        }
+        self.progress.fates(fates);
         Ok(())
     }
 

@@ -13,7 +13,7 @@ pub struct Show {
     #[arg(long, conflicts_with = "format")]
     json: bool,
     /// All rows, a column for each run [default: the main ones, from three runs on a row for each run]
-    #[arg(long)]
+    #[arg(long, visible_alias = "verbose")]
     full: bool,
 }
 
@@ -54,6 +54,13 @@ impl Show {
             notes(runs).iter().for_each(|note| eprintln!("realo: {note}"));
         }
     }
+}
+
+/// What a reader wants to know first: the numbers that matter, what they say, and what to look at next.
+pub fn print_opening(runs: &[(&str, &Run)], next: &str) {
+    let mut sentences = realo_page::verdict(runs);
+    sentences.push(format!("Next: {next}"));
+    println!("{}", realo_report::opening(runs, &sentences, width()));
 }
 
 /// The table of a run that is not asked how it is printed.

@@ -155,7 +155,7 @@ pub fn types(graph: &FlatGraph, node: &FlatNode, output: &str) -> Vec<String> {
             .nodes
             .iter()
             .flat_map(|taker| taker.inputs.iter().map(move |input| (taker, input)));
-        let mut takers = takers.filter(|(_, (_, input))| input.output() == Some((&node.id, output)));
+        let mut takers = takers.filter(|(_, (_, input))| input.output() == Some((node.id.as_str(), output)));
         takers.all(|(taker, (input, _))| {
             let known = taker.registration(&registry()).and_then(|known| known.input(input));
             known.is_none_or(|(_, port)| port.types.contains(kind))
