@@ -123,6 +123,18 @@ mod tests {
     }
 
     #[test]
+    fn which_module_groups_a_process_is_known() {
+        let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../dataflows/late_fusion.yml");
+        let groups = Graph::load(&file).unwrap().groups().unwrap();
+        let group = |process: &str| groups.get(process).map(String::as_str);
+        assert_eq!(
+            ["player", "others", "score", "ego", "fusion"].map(group),
+            [Some("scene"), Some("scene"), Some("scene"), Some("perception"), Some("perception")]
+        );
+        assert_eq!(group("ego.nms"), None, "a stage is no process");
+    }
+
+    #[test]
     fn a_module_of_stages_is() {
         let processes = [
             "ego.sense.sync operator",
