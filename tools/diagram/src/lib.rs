@@ -43,6 +43,8 @@ pub struct Process {
     pub name: String,
     /// What it runs.
     pub what: String,
+    /// Whether it is its only stage, and bears its name.
+    pub is_stage: bool,
 }
 
 /// A stage of a process.
@@ -110,15 +112,12 @@ impl Diagram {
         self.process_of(wire.from) == self.process_of(wire.to)
     }
 
-    /// A stage by its process and all modules around it; a process of a single stage is named once.
+    /// A stage by its process and all modules around it; a process that is a stage is named once.
     pub fn name_of(&self, stage: usize) -> String {
-        let Stage {
-            process, modules, name, ..
-        } = &self.stages[stage];
-        let process = &self.processes[*process].name;
-        match modules.is_empty() && name == process {
-            true => name.clone(),
-            false => format!("{process}.{}", self.inner_name(stage)),
+        let process = &self.processes[self.stages[stage].process];
+        match process.is_stage {
+            true => process.name.clone(),
+            false => format!("{}.{}", process.name, self.inner_name(stage)),
         }
     }
 

@@ -35,7 +35,8 @@ fn wire(from: [usize; 2], to: [usize; 2]) -> Wire {
 fn processes(names: &[&str]) -> Vec<Process> {
     let process = |name: &&str| Process {
         name: name.to_string(),
-        what: String::new(),
+        is_stage: *name == "player",
+        ..Process::default()
     };
     names.iter().map(process).collect()
 }

@@ -1,6 +1,7 @@
 //! What is drawn of an expanded graph.
 
 use std::collections::BTreeMap;
+use std::path::Path;
 
 use eyre::{Result, bail};
 use realo_diagram::{Diagram, End, Port, Process, Stage, Wire};
@@ -62,15 +63,29 @@ fn process_of(diagram: &mut Diagram, graph: &FlatGraph, node: &FlatNode, groups:
         return known;
     }
     let host = graph.hosts.iter().find(|host| host.id == *name);
-    let module = host.and_then(|host| host.args.get(1)).cloned();
+    let module = host.and_then(|host| host.args.get(1));
+    let module = module.map(|module| without_folder(module, &graph.file));
     let group = groups.get(name).map(|group| format!("in {group}"));
     let machine = host.unwrap_or(node).machine().map(|machine| format!("on {machine}"));
     let what: Vec<String> = module.into_iter().chain(group).chain(machine).collect();
     diagram.processes.push(Process {
         name: name.clone(),
         what: what.join(", "),
+        is_stage: node.host.is_none(),
     });
     diagram.processes.len() - 1
+}
+
+/// A module's file as the graph's folder has it, else by its name: where a graph lies says nothing of it.
+fn without_folder(module: &str, graph: &Path) -> String {
+    let module = Path::new(module);
+    let folder = graph.parent().unwrap_or(Path::new("/"));
+    let short = match module.strip_prefix(folder) {
+        Ok(inside) => Some(inside.as_os_str()),
+        Err(_) if module.is_absolute() => module.file_name(),
+        Err(_) => Some(module.as_os_str()),
+    };
+    short.unwrap_or_default().to_string_lossy().into_owned()
 }
 
 /// What a stage runs.
