@@ -284,7 +284,7 @@ fn wrong_input_is_named_with_what_helps() {
         "evaluation.json" => text[..text.len() / 2].to_string(),
         _ => text,
     });
-    check(&[&cut], &["evaluation.json", "damaged"]);
+    check(&[&cut], &["cut/evaluation.json", "expected a file of realo", "EOF"]);
     let bare = copy("bare", &|file, text| {
         let mut document: serde_json::Value = serde_json::from_str(&text).expect("it is JSON");
         if file == "evaluation.json" {

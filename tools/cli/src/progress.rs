@@ -12,6 +12,8 @@ use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 /// From one line to the next.
 const EVERY: Duration = Duration::from_secs(10);
 
+/// Letters of what is done that stand before a bar, at most.
+const HEAD: usize = 26;
 /// The unit of work that takes its time.
 const SECONDS: &str = "s";
 
@@ -72,7 +74,7 @@ impl Progress {
 
     fn bar_in(state: State, group: MultiProgress) -> Self {
         let bar = group.add(ProgressBar::new(state.all.unwrap_or(0.0).ceil() as u64).with_style(state.style()));
-        bar.set_prefix(state.what.clone());
+        bar.set_prefix(state.head());
         // What stands still is drawn too, with the time that went by.
         bar.enable_steady_tick(Duration::from_secs(1));
         Progress {
@@ -122,7 +124,7 @@ impl Progress {
         let mut state = open(&self.state);
         (state.what, state.unit) = (what.into(), unit);
         if let Shown::Bar(bar, _) = &self.shown {
-            bar.set_prefix(state.what.clone());
+            bar.set_prefix(state.head());
         }
     }
 
@@ -202,6 +204,14 @@ impl State {
             done: 0.0,
             all,
             more: String::new(),
+        }
+    }
+
+    /// What is done, as far as there is room for it beside a bar on 80 columns.
+    fn head(&self) -> String {
+        match self.what.chars().count() > HEAD {
+            true => self.what.chars().take(HEAD - 1).chain(['…']).collect(),
+            false => self.what.clone(),
         }
     }
 

@@ -245,12 +245,12 @@ impl Listing<'_> {
         let facts = printable(&port.facts);
         let room = self.terminal.width.saturating_sub(columns(&begin));
         match facts.is_empty() {
-            true if self.facts + 24 <= room && self.facts > 0 => {
+            true if self.facts + 48 <= room && self.facts > 0 => {
                 self.wrapped(&format!("{begin}{}→ ", " ".repeat(self.facts + 1)), &to, rail);
             }
             true => self.wrapped(&format!("{begin}→ "), &to, rail),
             // On a wide terminal in a column of their own, else in a line of their own.
-            false if self.facts + 24 <= room => {
+            false if self.facts + 48 <= room => {
                 self.wrapped(&format!("{begin}{facts:<width$} → ", width = self.facts), &to, rail);
             }
             false => {
