@@ -34,7 +34,7 @@ pub(super) fn expand(graph: &Graph) -> Result<FlatGraph, GraphError> {
 }
 
 /// The graph with the names that dora gives; `alone`: one process, whose outputs are all taken.
-fn as_dora(graph: &Graph, alone: bool) -> Result<FlatGraph, GraphError> {
+pub(super) fn as_dora(graph: &Graph, alone: bool) -> Result<FlatGraph, GraphError> {
     let root = graph.file.parent().unwrap_or(Path::new("/")).to_path_buf();
     let mut expansion = Expansion {
         root: &root,

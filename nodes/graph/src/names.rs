@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::{FlatGraph, FlatNode, InputSource};
+use super::{FlatGraph, FlatNode, Graph, GraphError, InputSource, expand};
 
 /// The names of processes whose ids in dora begin with the id of a module that groups them, by that id.
 ///
@@ -30,9 +30,21 @@ pub fn short_names<'a>(processes: impl IntoIterator<Item = (&'a str, &'a str)>) 
     named.map(|(id, name)| (id.to_string(), name.to_string())).collect()
 }
 
+impl Graph {
+    /// By the name of each process that a module only groups, the id of that module.
+    ///
+    /// # Errors
+    /// As [`Graph::expand`].
+    pub fn groups(&self) -> Result<BTreeMap<String, String>, GraphError> {
+        let short = expand::as_dora(self, false)?.short_names().into_iter();
+        let group = |(id, name): (String, String)| Some((name, id.rsplit_once('.')?.0.to_string()));
+        Ok(short.filter_map(group).collect())
+    }
+}
+
 impl FlatGraph {
-    /// The graph with the names of processes and of their stages in place of dora's ids.
-    pub(super) fn with_short_names(mut self) -> Self {
+    /// As [`short_names`], of this graph.
+    fn short_names(&self) -> BTreeMap<String, String> {
         let processes = self.processes();
         let word = |process: &FlatNode| process.args.first().filter(|_| process.is_realo()).cloned();
         let words: Vec<String> = processes
@@ -40,7 +52,12 @@ impl FlatGraph {
             .map(|process| word(process).unwrap_or_default())
             .collect();
         let ids = processes.iter().map(|process| process.id.as_str());
-        let short = short_names(ids.zip(words.iter().map(String::as_str)));
+        short_names(ids.zip(words.iter().map(String::as_str)))
+    }
+
+    /// The graph with the names of processes and of their stages in place of dora's ids.
+    pub(super) fn with_short_names(mut self) -> Self {
+        let short = self.short_names();
         if short.is_empty() {
             return self;
         }
@@ -103,6 +120,18 @@ mod tests {
         ];
         assert_eq!(short(&processes), ["player", "others", "mine", "ego", "score"]);
         assert_eq!(short(&["a.b.ego host", "a.player node"]), ["ego", "player"]);
+    }
+
+    #[test]
+    fn which_module_groups_a_process_is_known() {
+        let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../dataflows/late_fusion.yml");
+        let groups = Graph::load(&file).unwrap().groups().unwrap();
+        let group = |process: &str| groups.get(process).map(String::as_str);
+        assert_eq!(
+            ["player", "others", "score", "ego", "fusion"].map(group),
+            [Some("scene"), Some("scene"), Some("scene"), Some("perception"), Some("perception")]
+        );
+        assert_eq!(group("ego.nms"), None, "a stage is no process");
     }
 
     #[test]

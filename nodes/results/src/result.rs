@@ -206,6 +206,12 @@ pub struct NodeSummary {
     pub failed_runs: u64,
     /// Messages that it skipped because it was busy.
     pub skipped: u64,
+    /// The same by input, where there are any.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub skipped_at: BTreeMap<String, u64>,
+    /// Messages that it sent, by output.
+    #[serde(default, skip_serializing_if = "BTreeMap::is_empty")]
+    pub sent: BTreeMap<String, u64>,
     /// Parts of sets that never became complete.
     pub unjoined: u64,
     /// Its own counters.
@@ -248,6 +254,10 @@ impl NodeSummary {
         self.failed_runs += other.failed_runs;
         self.skipped += other.skipped;
         self.unjoined += other.unjoined;
+        for (sum, more) in [(&mut self.skipped_at, &other.skipped_at), (&mut self.sent, &other.sent)] {
+            more.iter()
+                .for_each(|(port, n)| *sum.entry(port.clone()).or_default() += n);
+        }
         for (counter, n) in &other.counters {
             *self.counters.entry(counter.clone()).or_default() += n;
         }

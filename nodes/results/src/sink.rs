@@ -100,8 +100,7 @@ pub struct Results {
     estimates: Estimates,
     /// What the ways from agents on other machines were like.
     courses: BTreeMap<String, Vec<Phase>>,
-    /// Where nobody prepared the run, it speaks for itself.
-    progress: Option<Progress>,
+    progress: Progress,
 }
 
 /// What comes in.
@@ -158,7 +157,7 @@ impl Sink for Results {
             truth: Sweeps::default(),
             realtime: false,
             estimates: Estimates::default(),
-            progress: settings.run_settings.as_os_str().is_empty().then(Progress::new),
+            progress: Progress::new(&settings.out, !settings.run_settings.as_os_str().is_empty()),
             courses: BTreeMap::new(),
             out: settings.out,
         })
@@ -167,9 +166,7 @@ impl Sink for Results {
     fn accept(&mut self, input: Input) -> Result<(), Error> {
         match input {
             Input::Boxes(header, _) => {
-                if let (Some(progress), Some(_)) = (&mut self.progress, header.clock) {
-                    progress.boxes(header.stamp);
-                }
+                self.progress.boxes(header.stamp, header.clock.is_some());
                 self.take_boxes(&header);
             }
             Input::Truth(header, truth) => self.take_truth(&header, &truth),
@@ -189,9 +186,7 @@ impl Sink for Results {
 
     fn fates(&mut self, fates: &[Fated]) -> Result<(), Error> {
         fates.iter().for_each(|fated| self.ledger.take(fated));
-        if let Some(progress) = &mut self.progress {
-            progress.fates(fates);
-        }
+        self.progress.fates(fates);
         Ok(())
     }
 
@@ -324,13 +319,22 @@ fn take_books(result: &mut RunResult, books: &Books) {
             failed_runs: u64::from(has_failed(node)),
             counters: node.counters.clone(),
             losses: node.losses.iter().filter_map(happened).collect(),
+            sent: node
+                .outputs
+                .iter()
+                .map(|(port, sent)| (port.clone(), sent.total()))
+                .collect(),
             ..NodeSummary::default()
         };
         node.clocks.iter().for_each(|clock| result.add_clock(clock));
         let busy = skipped_of_others(node, &result.egos);
         summary.losses.extend(happened((&"skipped".into(), &busy)));
         for (port, input) in &node.inputs {
-            summary.skipped += input.skipped.total();
+            let skipped = input.skipped.total();
+            summary.skipped += skipped;
+            summary
+                .skipped_at
+                .extend((skipped > 0).then(|| (port.clone(), skipped)));
             summary.unjoined += input.unjoined.total();
             let edge = EdgeBooks {
                 lost: input.transport_lost,

@@ -183,7 +183,7 @@ pub fn called_beside(name: &str) -> String {
 }
 
 /// The text as a shell takes it.
-fn quoted(text: &str) -> String {
+pub fn quoted(text: &str) -> String {
     shlex::try_quote(text).map_or_else(|_| text.to_string(), |quoted| quoted.into_owned())
 }
 

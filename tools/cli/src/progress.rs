@@ -7,10 +7,15 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::program;
-use indicatif::{ProgressBar, ProgressStyle};
+use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
 
 /// From one line to the next.
 const EVERY: Duration = Duration::from_secs(10);
+
+/// Letters of what is done that stand before a bar, at most.
+const HEAD: usize = 26;
+/// The unit of work that takes its time.
+const SECONDS: &str = "s";
 
 /// How far some work is. Ends with [`Progress::finish`] or when it is dropped.
 pub struct Progress {
@@ -19,7 +24,7 @@ pub struct Progress {
 }
 
 enum Shown {
-    Bar(ProgressBar),
+    Bar(ProgressBar, MultiProgress),
     Lines {
         /// Closed to end the thread.
         end: Option<Sender<()>>,
@@ -50,19 +55,31 @@ impl Progress {
         }
     }
 
+    /// More work at the same time, as a bar below this one. Where there are no bars nothing is said of it.
+    pub fn below(&self, what: impl Into<String>, unit: &'static str, all: f64) -> Option<Progress> {
+        match &self.shown {
+            Shown::Bar(_, group) => Some(Progress::bar_in(State::new(what, unit, Some(all)), group.clone())),
+            Shown::Lines { .. } => None,
+        }
+    }
+
     /// Lines on a terminal too, where others print in between.
     pub fn as_lines(what: impl Into<String>, unit: &'static str, all: Option<f64>) -> Self {
         Progress::lines(State::new(what, unit, all), EVERY, |line| eprintln!("{line}"))
     }
 
     fn bar(state: State) -> Self {
-        let bar = ProgressBar::new(state.all.unwrap_or(0.0).ceil() as u64).with_style(state.style());
-        bar.set_prefix(state.what.clone());
+        Progress::bar_in(state, MultiProgress::new())
+    }
+
+    fn bar_in(state: State, group: MultiProgress) -> Self {
+        let bar = group.add(ProgressBar::new(state.all.unwrap_or(0.0).ceil() as u64).with_style(state.style()));
+        bar.set_prefix(state.head());
         // What stands still is drawn too, with the time that went by.
         bar.enable_steady_tick(Duration::from_secs(1));
         Progress {
             state: Arc::new(Mutex::new(state)),
-            shown: Shown::Bar(bar),
+            shown: Shown::Bar(bar, group),
         }
     }
 
@@ -89,7 +106,7 @@ impl Progress {
     pub fn begin(&self, done: f64, all: f64) {
         let mut state = open(&self.state);
         (state.from, state.done, state.all, state.begun) = (done, done, Some(all), Instant::now());
-        if let Shown::Bar(bar) = &self.shown {
+        if let Shown::Bar(bar, _) = &self.shown {
             bar.set_style(state.style());
             bar.reset_eta();
         }
@@ -106,8 +123,8 @@ impl Progress {
     pub fn rename(&self, what: impl Into<String>, unit: &'static str) {
         let mut state = open(&self.state);
         (state.what, state.unit) = (what.into(), unit);
-        if let Shown::Bar(bar) = &self.shown {
-            bar.set_prefix(state.what.clone());
+        if let Shown::Bar(bar, _) = &self.shown {
+            bar.set_prefix(state.head());
         }
     }
 
@@ -136,7 +153,7 @@ impl Progress {
     pub fn say(&self, more: impl Into<String>) {
         let mut state = open(&self.state);
         state.more = more.into();
-        if let Shown::Bar(bar) = &self.shown {
+        if let Shown::Bar(bar, _) = &self.shown {
             bar.set_message(state.more.clone());
         }
     }
@@ -144,7 +161,7 @@ impl Progress {
     /// Prints beside the bar.
     pub fn beside(&self, print: impl FnOnce()) {
         match &self.shown {
-            Shown::Bar(bar) => bar.suspend(print),
+            Shown::Bar(_, group) => group.suspend(print),
             Shown::Lines { .. } => print(),
         }
     }
@@ -153,7 +170,7 @@ impl Progress {
     pub fn finish(self) {}
 
     fn draw(&self, state: &State) {
-        if let Shown::Bar(bar) = &self.shown {
+        if let Shown::Bar(bar, _) = &self.shown {
             bar.set_length(state.all.unwrap_or(state.done).ceil() as u64);
             bar.set_position(state.done as u64);
         }
@@ -163,7 +180,10 @@ impl Progress {
 impl Drop for Progress {
     fn drop(&mut self) {
         match &mut self.shown {
-            Shown::Bar(bar) => bar.finish_and_clear(),
+            Shown::Bar(bar, group) => {
+                bar.finish_and_clear();
+                group.remove(bar);
+            }
             Shown::Lines { end, thread } => {
                 drop(end.take());
                 if let Some(thread) = thread.take() {
@@ -187,14 +207,24 @@ impl State {
         }
     }
 
+    /// What is done, as far as there is room for it beside a bar on 80 columns.
+    fn head(&self) -> String {
+        match self.what.chars().count() > HEAD {
+            true => self.what.chars().take(HEAD - 1).chain(['…']).collect(),
+            false => self.what.clone(),
+        }
+    }
+
     fn style(&self) -> ProgressStyle {
         let template = match self.all {
+            // Seconds of a clock pass as they do.
             Some(_) => format!(
-                "{{prefix:>24}} [{{bar:32}}] {{pos}}/{{len}} {}, {{per_sec}}, {{eta}} left {{msg}}",
-                self.unit
+                "{{prefix}} [{{wide_bar}}] {{pos}}/{{len}} {}{}, {{eta}} left {{msg}}",
+                self.unit,
+                if self.unit == SECONDS { "" } else { ", {per_sec}" }
             ),
-            None if self.unit.is_empty() => "{prefix:>24} for {elapsed} {msg}".into(),
-            None => format!("{{prefix:>24}} {{pos}} {} in {{elapsed}} {{msg}}", self.unit),
+            None if self.unit.is_empty() => "{prefix} for {elapsed} {msg}".into(),
+            None => format!("{{prefix}} {{pos}} {} in {{elapsed}} {{msg}}", self.unit),
         };
         let style = ProgressStyle::with_template(&template).expect("the templates are constants");
         style.progress_chars("=> ")

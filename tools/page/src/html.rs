@@ -1,5 +1,7 @@
 //! The page around the document.
 
+use realo_render::escaped;
+
 const PAGE: &str = include_str!("page/index.html");
 const STYLE: &str = include_str!("page/style.css");
 const SCRIPTS: [&str; 4] = [
@@ -33,21 +35,6 @@ pub fn html(title: &str, json: &str, points: &str) -> String {
     }
     page.push_str(rest);
     page
-}
-
-fn escaped(text: &str) -> String {
-    let mut all = String::with_capacity(text.len());
-    for letter in text.chars() {
-        match letter {
-            '&' => all.push_str("&amp;"),
-            '<' => all.push_str("&lt;"),
-            '>' => all.push_str("&gt;"),
-            '"' => all.push_str("&quot;"),
-            '\'' => all.push_str("&#39;"),
-            _ => all.push(letter),
-        }
-    }
-    all
 }
 
 #[cfg(test)]

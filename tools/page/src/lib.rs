@@ -30,6 +30,7 @@ use realo_results::{Run, read_run};
 
 pub use error::{DifferentProtocols, PageError};
 pub use html::html;
+pub use verdict::sentences as verdict;
 
 use document::{Document, RunPart};
 use points::Points;

@@ -6,8 +6,8 @@ use realo_cli::program::{self, Elsewhere};
 use realo_operator::Registration;
 
 use crate::{
-    compare, doctor, evaluate, host, info, keys, latency, map, merge, new, operators, precompute, registry, render,
-    report, run, sweep, validate,
+    compare, doctor, evaluate, graph, host, info, keys, latency, map, merge, new, operators, precompute, registry,
+    render, report, run, sweep, validate,
 };
 
 /// What the workbench does, for who asks this program for it.
@@ -43,6 +43,7 @@ enum Command {
     Evaluate(evaluate::Args),
     Report(report::Args),
     Render(render::Args),
+    Graph(graph::Args),
     Precompute(precompute::Args),
     Info(info::Args),
     Merge(merge::Args),
@@ -92,6 +93,7 @@ pub fn main_with(own: &[Registration]) -> ExitCode {
         Command::Evaluate(args) => evaluate::main(&args),
         Command::Report(args) => report::main(&args),
         Command::Render(args) => render::main(&args),
+        Command::Graph(args) => graph::main(&args),
         Command::Merge(args) => merge::main(&args),
         Command::Map(args) => map::main(&args),
         Command::Precompute(args) => precompute::main(&args),

@@ -9,6 +9,7 @@ pub mod demo;
 mod doctor;
 pub mod evaluate;
 mod fit;
+pub mod graph;
 pub mod host;
 pub mod info;
 mod keys;

@@ -13,7 +13,7 @@ pub struct Show {
     #[arg(long, conflicts_with = "format")]
     json: bool,
     /// All rows, a column for each run [default: the main ones, from three runs on a row for each run]
-    #[arg(long)]
+    #[arg(long, visible_alias = "verbose")]
     full: bool,
 }
 
@@ -56,6 +56,13 @@ impl Show {
     }
 }
 
+/// What a reader wants to know first: the numbers that matter, what they say, and what to look at next.
+pub fn print_opening(runs: &[(&str, &Run)], next: &str) {
+    let mut sentences = realo_page::verdict(runs);
+    sentences.push(format!("Next: {next}"));
+    println!("{}", realo_report::opening(runs, &sentences, width()));
+}
+
 /// The table of a run that is not asked how it is printed.
 pub fn table(runs: &[(&str, &Run)]) -> String {
     let width = width();
@@ -67,7 +74,7 @@ pub fn table(runs: &[(&str, &Run)]) -> String {
 }
 
 /// Columns of the terminal: what `COLUMNS` says, else what standard output has, else 80.
-fn width() -> usize {
+pub(crate) fn width() -> usize {
     const USUAL: usize = 80;
     const LEAST: usize = 40;
     let said = std::env::var("COLUMNS").ok().and_then(|columns| columns.parse().ok());

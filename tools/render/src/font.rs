@@ -5,7 +5,9 @@ use crate::view::{Px, number};
 /// Weight of letters.
 #[derive(Clone, Copy, Debug, PartialEq, Eq)]
 pub enum Weight {
+    /// As text.
     Regular,
+    /// As titles.
     Bold,
 }
 
@@ -15,7 +17,14 @@ pub struct Fonts {
     bold: Face<'static>,
 }
 
+impl Default for Fonts {
+    fn default() -> Self {
+        Fonts::new()
+    }
+}
+
 impl Fonts {
+    /// Reads them.
     pub fn new() -> Self {
         let face = |bytes| Face::parse(bytes, 0).expect("the font is part of the crate");
         Fonts {

@@ -85,6 +85,20 @@ fn opacity(text: &mut String, name: &str, alpha: f64) {
     }
 }
 
-fn escaped(text: &str) -> String {
-    text.replace('&', "&amp;").replace('<', "&lt;").replace('>', "&gt;")
+/// A text as it stands in a document or in an attribute, which it cannot leave.
+pub fn escaped(text: &str) -> String {
+    let mut all = String::with_capacity(text.len());
+    for letter in text.chars() {
+        match letter {
+            '&' => all.push_str("&amp;"),
+            '<' => all.push_str("&lt;"),
+            '>' => all.push_str("&gt;"),
+            '"' => all.push_str("&quot;"),
+            '\'' => all.push_str("&#39;"),
+            // XML has no place for them.
+            letter if letter.is_control() => all.push(' '),
+            letter => all.push(letter),
+        }
+    }
+    all
 }

@@ -134,6 +134,17 @@ fn mean_ap(run: &Run, iou: &str, order: impl Fn(&Orders<Accuracy>) -> &Accuracy)
     Cell::number(mean, |ap| fraction(Some(ap)))
 }
 
+/// mAP of a run at each IoU, as a reader sees it; nothing of a run without scores.
+pub fn mean_aps(run: &Run) -> Vec<String> {
+    let ious = ious(&[run]);
+    let cells = ious.iter().map(|iou| mean_ap(run, iou, |orders| &orders.sorted));
+    let cells: Vec<String> = cells.map(|cell| cell.shown().to_string()).collect();
+    match cells.iter().all(|cell| cell == NONE) {
+        true => Vec::new(),
+        false => cells,
+    }
+}
+
 /// The interval of mAP over logs; `None` with fewer than two.
 pub fn interval(run: &Run, iou: &str) -> Option<[f64; 2]> {
     let intervals = run.result.intervals.as_ref()?;
@@ -141,7 +152,7 @@ pub fn interval(run: &Run, iou: &str) -> Option<[f64; 2]> {
 }
 
 /// KB of payload that crossed the links for each sweep of the ego; states, which everybody sends, are not part of it.
-fn payload(result: &RunResult) -> Option<f64> {
+pub fn payload(result: &RunResult) -> Option<f64> {
     let bytes: u64 = result
         .channels()
         .filter(|(_, kind, _)| *kind != STATE)
@@ -152,7 +163,7 @@ fn payload(result: &RunResult) -> Option<f64> {
 }
 
 /// Median age of what was fused, ms; of an offline run how far stamps lie apart.
-fn median_age(run: &Run) -> Option<f64> {
+pub fn median_age(run: &Run) -> Option<f64> {
     let mut ages = realo_results::Ages::default();
     let kinds = run.samples.ages_ns.iter();
     let kinds = kinds.filter(|(kind, _)| kind.to_string() != STATE);

@@ -1,6 +1,7 @@
 //! Pools the results of runs exactly and prints them side by side.
 //!
 //! - [`pool`]: several logs and egos as one run; scores come from the frames of all, not from means of scores.
+//! - [`opening`]: the few numbers of each run that matter.
 //! - [`shown`]: runs as text for a terminal, Markdown, CSV, LaTeX or JSON.
 //! - [`differences`]: why runs should not be compared number by number.
 //! - [`read_run`], [`write_run`]: folders of runs, see `docs/reference/results.md`.
@@ -12,6 +13,7 @@ mod foot;
 mod formats;
 mod graphs;
 mod list;
+mod opening;
 mod pool;
 mod sections;
 mod settings;
@@ -23,6 +25,7 @@ mod words;
 
 pub use differences::differences;
 pub use foot::notes;
+pub use opening::opening;
 pub use pool::{PoolError, pool};
 pub use realo_results::{FilesError, Run, read_run, write_run};
 

@@ -29,14 +29,14 @@ use std::path::{Path, PathBuf};
 use clap::ValueEnum;
 use eyre::{Report, Result, WrapErr, bail, eyre};
 use realo_cli::signals::{self, Ending};
-use realo_cli::{find, one_of};
+use realo_cli::{find, one_of, program};
 use realo_graph::FlatGraph;
 use realo_operator::{Registration, Role};
 use realo_player::Coop;
 use realo_results::{Run, RunResult};
 use realo_stages::Project;
 
-use crate::tables::Show;
+use crate::tables::{self, Show};
 use crate::{Outcome, registry, roles};
 use batch::{Batch, Unfinished};
 use folders::Folders;
@@ -444,9 +444,12 @@ fn play<'a>(
     Ok(runs)
 }
 
-/// Prints the table, and where the results are.
+/// Prints what matters, the table, and where the results are.
 fn show(args: &Args, runs: &[(&str, Run)]) {
     let named: Vec<(&str, &Run)> = runs.iter().map(|(name, run)| (*name, run)).collect();
+    if !named.is_empty() && args.show.is_table() {
+        tables::print_opening(&named, &next(args, &named));
+    }
     if !named.is_empty() {
         args.show.print(&named);
     }
@@ -455,6 +458,20 @@ fn show(args: &Args, runs: &[(&str, Run)]) {
             .iter()
             .for_each(|(name, _)| println!("results in {}", dir_of(args, name).display()));
     }
+}
+
+/// The commands that show more of runs.
+fn next(args: &Args, runs: &[(&str, &Run)]) -> String {
+    let folders = runs
+        .iter()
+        .map(|(name, _)| program::quoted(&dir_of(args, name).to_string_lossy()));
+    let folders: Vec<String> = folders.collect();
+    let realo = program::called();
+    format!(
+        "{realo} report {} shows every sweep; {realo} graph {} the graph with what was measured; --verbose all rows.",
+        folders.join(" "),
+        folders[0]
+    )
 }
 
 /// Says what was not played and what failed; how the command ends.

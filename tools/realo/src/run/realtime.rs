@@ -13,7 +13,7 @@ use realo_cli::Progress;
 use realo_cli::signals::{self, Ending};
 use realo_host::dora::{FOLDER_VARIABLE, OVERLAY_VARIABLE, POOL_VARIABLE, Slow};
 use realo_operator::Durations;
-use realo_results::Run;
+use realo_results::{Live, Run};
 
 use super::batch::Unfinished;
 use super::nodes::{argument, deciding};
@@ -177,6 +177,9 @@ fn watch(mut tether: Tether, mut child: Child, plan: &RunPlan, rate: f64, log: &
         for line in follower.read() {
             progress.beside(|| eprintln!("realo: {}: {line}", plan.name));
         }
+        if let Some(live) = follower.live.take() {
+            progress.say(live.short());
+        }
         if follower.culprit.is_some() {
             failed.get_or_insert_with(Instant::now);
         }
@@ -275,6 +278,8 @@ struct Follower {
     ready: Option<Instant>,
     /// The nodes that have not ended, with their processes.
     running: BTreeMap<String, u32>,
+    /// How the run goes, if that is new.
+    live: Option<Live>,
 }
 
 impl Follower {
@@ -286,6 +291,7 @@ impl Follower {
             culprit: None,
             ready: None,
             running: BTreeMap::new(),
+            live: None,
         }
     }
 
@@ -304,6 +310,7 @@ impl Follower {
             self.culprit = text.lines().find_map(failed);
         }
         text.lines().for_each(|line| self.follow(line));
+        self.live = text.lines().rev().find_map(Live::from_line).or(self.live.take());
         let slow = text.lines().filter_map(Slow::from_line);
         slow.map(|slow| keeping_up(&slow, self.rate)).collect()
     }

@@ -1,5 +1,6 @@
 //! Runs in virtual time.
 
+use std::collections::BTreeMap;
 use std::panic::{AssertUnwindSafe, catch_unwind};
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::time::Duration;
@@ -10,6 +11,7 @@ use realo_cli::{Progress, signals};
 use realo_graph::FlatGraph;
 use realo_host::{ComputeProfile, Outline, Shared, Stages, virtual_time};
 use realo_operator::Books;
+use realo_results::Live;
 use realo_schemas::{Nanos, to_seconds};
 
 use super::batch::Unfinished;
@@ -26,8 +28,10 @@ const LOOK: Duration = Duration::from_millis(50);
 
 /// What a run says while it goes on.
 enum Said {
-    /// So many seconds of its log more are played.
-    Played(f64),
+    /// The run of this number begins.
+    Begun(usize),
+    /// Of the run of this number so many seconds of its log more are played.
+    Played(usize, f64),
     /// The run of this number is about to write its results.
     Concluding(usize),
     /// The run of this number has ended.
@@ -59,9 +63,19 @@ pub fn all(plans: &[&RunPlan]) -> Result<Vec<Result<()>>> {
     playing.map_err(signals::no_thread)?;
     let mut ended: Vec<Option<Result<()>>> = plans.iter().map(|_| None).collect();
     let mut is_concluding = vec![false; plans.len()];
+    let mut egos = Egos {
+        plans,
+        all: &progress,
+        bars: BTreeMap::new(),
+    };
     while ended.iter().any(Option::is_none) {
-        match said.recv_timeout(LOOK) {
-            Ok(Said::Played(seconds)) => progress.add(seconds),
+        let said = said.recv_timeout(LOOK);
+        if let Ok(said) = &said {
+            egos.hear(said);
+        }
+        match said {
+            Ok(Said::Begun(_)) => {}
+            Ok(Said::Played(_, seconds)) => progress.add(seconds),
             Ok(Said::Concluding(number)) => is_concluding[number] = true,
             Ok(Said::Ended(number, how)) => ended[number] = Some(how),
             Err(RecvTimeoutError::Disconnected) => break,
@@ -76,6 +90,7 @@ pub fn all(plans: &[&RunPlan]) -> Result<Vec<Result<()>>> {
             break;
         }
     }
+    drop(egos);
     progress.finish();
     let left = |plan: &RunPlan, is_concluding: bool| -> Result<()> {
         // Partial results must not be taken for a run. A run that still writes them writes last what makes them one.
@@ -91,6 +106,40 @@ pub fn all(plans: &[&RunPlan]) -> Result<Vec<Result<()>>> {
     Ok(named
         .map(|((ended, is_concluding), plan)| ended.unwrap_or_else(|| left(plan, is_concluding)))
         .collect())
+}
+
+/// A line for each ego whose run goes on, below the one of all where there are several.
+struct Egos<'a> {
+    plans: &'a [&'a RunPlan],
+    all: &'a Progress,
+    /// By number of the run.
+    bars: BTreeMap<usize, Progress>,
+}
+
+impl Egos<'_> {
+    fn hear(&mut self, said: &Said) {
+        let is_alone = self.plans.len() == 1;
+        match said {
+            Said::Begun(number) if !is_alone => {
+                let plan = self.plans[*number];
+                let bar = self.all.below(plan.name.clone(), "s of the log", plan.seconds);
+                self.bars.extend(bar.map(|bar| (*number, bar)));
+            }
+            Said::Played(number, seconds) => {
+                let bar = self.bars.get(number);
+                if let Some(bar) = bar {
+                    bar.add(*seconds);
+                }
+                if let (Some(live), Some(bar)) =
+                    (Live::of(&self.plans[*number].out), bar.or(is_alone.then_some(self.all)))
+                {
+                    bar.say(live.short());
+                }
+            }
+            Said::Ended(number, _) => _ = self.bars.remove(number),
+            Said::Begun(_) | Said::Concluding(_) => {}
+        }
+    }
 }
 
 /// A run of its own, in its folder, with calls in common with other runs.
@@ -159,7 +208,9 @@ impl Replay {
         if signals::first().is_some() {
             return Err(unfinished());
         }
-        let mut far = Far::new(self.seconds, said);
+        // After a signal nobody may listen any more.
+        let _ = said.send(Said::Begun(number));
+        let mut far = Far::new(number, self.seconds, said);
         let ended = watched(&self.graph, &self.compute, None, None, |progress| match progress {
             virtual_time::Progress::At(now) => far.is(now),
             virtual_time::Progress::Concludes => {
@@ -179,6 +230,7 @@ impl Replay {
 /// How far one of several runs is.
 struct Far<'a> {
     said: &'a Sender<Said>,
+    number: usize,
     /// Length of its log.
     seconds: f64,
     begin: Option<Nanos>,
@@ -189,9 +241,10 @@ impl<'a> Far<'a> {
     /// Seconds of a log from one report to the next.
     const STEP: f64 = 0.1;
 
-    fn new(seconds: f64, said: &'a Sender<Said>) -> Self {
+    fn new(number: usize, seconds: f64, said: &'a Sender<Said>) -> Self {
         Far {
             said,
+            number,
             seconds,
             begin: None,
             done: 0.0,
@@ -213,7 +266,7 @@ impl<'a> Far<'a> {
 
     fn say(&self, seconds: f64) {
         // After a signal nobody may listen any more.
-        let _ = self.said.send(Said::Played(seconds));
+        let _ = self.said.send(Said::Played(self.number, seconds));
     }
 }
 

@@ -1,0 +1,95 @@
+//! `realo graph`: a graph as a picture, or what a run measured of it.
+
+mod measured;
+mod stages;
+
+use std::io::IsTerminal;
+use std::path::{Path, PathBuf};
+
+use eyre::{Result, bail};
+use realo_cli::{Force, Outcome, Output, find};
+use realo_diagram::{Diagram, Terminal};
+use realo_graph::{FlatGraph, Graph};
+use realo_results::run_folder;
+
+use crate::tables;
+
+/// Draws a graph: its processes, stages, ports, payload types and wires; of a finished run with what was measured. Prints it, or
+/// writes an SVG picture
+#[derive(clap::Args)]
+pub struct Args {
+    /// Dataflow file, name of a shipped one, or folder that `realo run` wrote
+    graph: PathBuf,
+    /// The picture to write: .svg [default: prints to the terminal]
+    #[arg(short = 'o', long = "output")]
+    output: Option<PathBuf>,
+    #[allow(missing_docs, reason = "clap would print it")]
+    #[command(flatten)]
+    force: Force,
+}
+
+/// Prints the graph, or writes its picture.
+pub fn main(args: &Args) -> Result<Outcome> {
+    if let Some(output) = &args.output {
+        check_ending(output)?;
+        args.force.check(output, Output::SVG)?;
+    }
+    let diagram = diagram(&args.graph)?;
+    match &args.output {
+        None => {
+            let colour =
+                std::io::stdout().is_terminal() && std::env::var_os("NO_COLOR").is_none_or(|set| set.is_empty());
+            let width = tables::width();
+            print!("{}", realo_diagram::text(&diagram, Terminal { width, colour }));
+        }
+        Some(output) => {
+            let picture = realo_diagram::svg(&diagram);
+            if let Err(reason) = std::fs::write(output, &picture) {
+                bail!(
+                    "{}: cannot be written: {reason}; choose another place with -o",
+                    output.display()
+                );
+            }
+            println!(
+                "{}: {}, {:.0} KB",
+                output.display(),
+                diagram.title,
+                (picture.len() as f64 / 1000.0).ceil()
+            );
+        }
+    }
+    Ok(Outcome::Complete)
+}
+
+fn check_ending(output: &Path) -> Result<()> {
+    let ending = output.extension().map(|ending| ending.to_string_lossy().to_lowercase());
+    match ending.as_deref() {
+        Some("svg") => Ok(()),
+        found => bail!(
+            "{}: expected a file name that ends in .svg, found {}",
+            output.display(),
+            found.map_or("no ending".into(), |ending| format!(".{ending}"))
+        ),
+    }
+}
+
+/// The picture of a graph, or of a run where the path is a folder or one of a run's files.
+///
+/// # Errors
+/// A graph or run that cannot be read; a run that does not say its graph.
+pub fn diagram(path: &Path) -> Result<Diagram> {
+    let folder = run_folder(path);
+    if folder.is_dir() {
+        return measured::of_run(&folder);
+    }
+    let file = find::graph(path)?;
+    let graph = Graph::load(&file)?;
+    of_graph(&graph.expand()?, &graph)
+}
+
+fn of_graph(flat: &FlatGraph, graph: &Graph) -> Result<Diagram> {
+    let name = flat.file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
+    let mut diagram = stages::diagram(flat, &graph.groups()?)?;
+    diagram.title = stages::title(&name, &diagram);
+    Ok(diagram)
+}
