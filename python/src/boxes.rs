@@ -1,8 +1,8 @@
 //! Geometry of boxes on arrays.
 
 use arrow_array::types::ArrowPrimitiveType;
-use arrow_array::{ArrayData, Float64Array, PrimitiveArray, UInt32Array, make_array};
 use arrow_array::{Array, cast::AsArray};
+use arrow_array::{ArrayData, Float64Array, PrimitiveArray, UInt32Array, make_array};
 use arrow_pyarrow::PyArrowType;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use pyo3::prelude::*;
@@ -35,16 +35,21 @@ pub fn numbers<T: ArrowPrimitiveType>(argument: &str, array: Numbers) -> PyResul
 /// A message of boxes as Python gives it.
 pub fn message_of_boxes(argument: &str, array: Row) -> PyResult<(realo_schemas::Header, Vec<Box3>)> {
     let message = wire::from_arrow(&make_array(array.0)).map_err(|error| refused(argument, error))?;
-    let (header, Boxes(boxes)) = message.into_parts::<Boxes>().map_err(|error| refused(argument, error))?;
+    let (header, Boxes(boxes)) = message
+        .into_parts::<Boxes>()
+        .map_err(|error| refused(argument, error))?;
     Ok((header, boxes))
 }
 
 /// Rectangles on the ground of rows x, y, length, width, yaw.
 fn footprints(argument: &str, array: Numbers) -> PyResult<Vec<Footprint>> {
-    let numbers = numbers::<arrow_array::types::Float64Type>(argument, array)?;
+    let numbers = numbers::<Float64Type>(argument, array)?;
     let (rows, rest) = numbers.values().as_chunks::<5>();
     if !rest.is_empty() {
-        return Err(refused(argument, format!("expected rows of 5 numbers, found {}", numbers.len())));
+        return Err(refused(
+            argument,
+            format!("expected rows of 5 numbers, found {}", numbers.len()),
+        ));
     }
     let footprint = |[x, y, length, width, yaw]: &[f64; 5]| Footprint::new([*x, *y], *length, *width, *yaw);
     Ok(rows.iter().map(footprint).collect())
@@ -56,7 +61,9 @@ pub fn iou(py: Python, a: Numbers, b: Numbers) -> PyResult<Numbers> {
     let (a, b) = (footprints("a", a)?, footprints("b", b)?);
     let found: Vec<f64> = py.detach(|| {
         let pairs = a.iter().flat_map(|one| b.iter().map(move |other| (one, other)));
-        pairs.map(|(one, other)| realo_schemas::geometry::iou(one, other)).collect()
+        pairs
+            .map(|(one, other)| realo_schemas::geometry::iou(one, other))
+            .collect()
     });
     Ok(PyArrowType(Float64Array::from(found).to_data()))
 }
@@ -69,27 +76,29 @@ pub fn corners(boxes: Row) -> PyResult<Numbers> {
     Ok(PyArrowType(Float64Array::from_iter_values(corners).to_data()))
 }
 
-/// Suppresses duplicates: the indices of the kept boxes, best score first, and these boxes, after the vote.
-#[pyfunction]
-#[pyo3(signature = (boxes, threshold, min_score, max_boxes, per_class, vote, region))]
-pub fn nms(
-    py: Python,
-    boxes: Row,
+/// How duplicates are suppressed.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct Suppression {
     threshold: f64,
     min_score: f32,
     max_boxes: usize,
     per_class: bool,
     vote: f64,
     region: Vec<f64>,
-) -> PyResult<(Numbers, Row)> {
+}
+
+/// Suppresses duplicates: the indices of the kept boxes, best score first, and these boxes, after the vote.
+#[pyfunction]
+pub fn nms(py: Python, boxes: Row, settings: Suppression) -> PyResult<(Numbers, Row)> {
     let (header, boxes) = message_of_boxes("boxes", boxes)?;
-    let region = Region::from_list(&region).map_err(|reason| refused("region", reason))?;
+    let region = Region::from_list(&settings.region).map_err(|reason| refused("region", reason))?;
     let settings = Settings {
-        threshold,
-        min_score,
-        max_boxes,
-        per_class,
-        vote,
+        threshold: settings.threshold,
+        min_score: settings.min_score,
+        max_boxes: settings.max_boxes,
+        per_class: settings.per_class,
+        vote: settings.vote,
         ..Settings::default()
     };
     let outcome = py.detach(|| realo_nms::nms(&boxes, &settings, region.as_ref()));
@@ -115,7 +124,9 @@ fn isometry(m: &[f64; 16]) -> Result<Isometry3<f64>, String> {
     let off = (turn * turn.transpose() - Matrix3::identity()).amax();
     if m[12..] != [0.0, 0.0, 0.0, 1.0] || !(off < 1e-6 && turn.determinant() > 0.0) || !m.iter().all(|v| v.is_finite())
     {
-        return Err("expected a 4×4 matrix of a rotation and a translation, found scale, mirror or other numbers".into());
+        return Err(
+            "expected a 4×4 matrix of a rotation and a translation, found scale, mirror or other numbers".into(),
+        );
     }
     let rotation = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(turn));
     let translation = Translation3::from(Vector3::new(m[3], m[7], m[11]));

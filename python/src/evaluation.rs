@@ -39,6 +39,15 @@ pub struct FrameBoxes {
     own_points: Numbers,
 }
 
+/// What is scored against what.
+#[derive(FromPyObject)]
+#[pyo3(from_item_all)]
+pub struct Sides {
+    predictions: FrameBoxes,
+    truth: FrameBoxes,
+    own: FrameBoxes,
+}
+
 /// Boxes of one frame and the points on each.
 type Labelled = (Vec<Box3>, Option<Vec<[u32; 2]>>);
 
@@ -50,7 +59,10 @@ impl FrameBoxes {
         let points = [self.points, self.own_points].map(|points| numbers::<Int64Type>(argument, points));
         let [all, own] = points;
         let (all, own) = (all?, own?);
-        if [places.len(), all.len(), own.len()].iter().any(|len| *len != boxes.len()) {
+        if [places.len(), all.len(), own.len()]
+            .iter()
+            .any(|len| *len != boxes.len())
+        {
             let reason = format!("expected {} numbers a column, one a box", boxes.len());
             return Err(refused(argument, reason));
         }
@@ -58,7 +70,10 @@ impl FrameBoxes {
         for (at, object) in boxes.into_iter().enumerate() {
             let frame = places.value(at) as usize;
             if frame >= frames {
-                return Err(refused(argument, format!("expected frames below {frames}, found {frame}")));
+                return Err(refused(
+                    argument,
+                    format!("expected frames below {frames}, found {frame}"),
+                ));
             }
             let (boxes, points) = split.entry(frame).or_insert_with(|| (Vec::new(), Some(Vec::new())));
             boxes.push(object);
@@ -77,7 +92,9 @@ impl FrameBoxes {
 
 fn views(argument: &str, numbers: &[[f64; View::NUMBERS]]) -> PyResult<Vec<View>> {
     let views = numbers.iter().map(View::from_numbers);
-    views.collect::<Result<_, _>>().map_err(|reason| refused(argument, reason))
+    views
+        .collect::<Result<_, _>>()
+        .map_err(|reason| refused(argument, reason))
 }
 
 /// The protocol of a name or a file.
@@ -93,59 +110,72 @@ pub fn classes_of(protocol: &str, asked: Vec<String>) -> PyResult<(Vec<String>, 
     Ok((protocol.classes.into_iter().map(|class| class.name).collect(), numbers))
 }
 
+impl FrameRow {
+    fn header(&self, ego: &Name, kind: Kind) -> Header {
+        Header::origin(&"arrays".into(), ego, kind, self.seq, self.stamp, self.stamp)
+    }
+
+    /// The truth of the frame; `agents` are the ego and, as one, all others.
+    fn truth(&self, agents: &[Name], objects: Labelled, own: Labelled) -> PyResult<GroundTruth> {
+        let ((boxes, points), (own_boxes, own_points)) = (objects, own);
+        let own = self.own_key.map(|key| {
+            let points = own_points.unwrap_or_default();
+            PyResult::Ok(OwnLabels {
+                boxes: own_boxes,
+                points: points.iter().map(|[own, _]| *own).collect(),
+                key,
+                views: views("truth", &self.own_views)?,
+            })
+        });
+        Ok(GroundTruth {
+            boxes,
+            agents: agents.to_vec(),
+            points: points.unwrap_or_default().into_flattened(),
+            ego_footprint: self.ego_footprint,
+            key: self.key,
+            views: views("truth", &self.views)?,
+            own: own.transpose()?,
+        })
+    }
+}
+
 /// Scores boxes against truth: what `realo evaluate` does with a recording and a log.
 #[pyfunction]
-#[pyo3(signature = (protocol, frames, predictions, truth, own, name, ego))]
 pub fn evaluate(
     py: Python,
     protocol: &str,
     frames: Vec<FrameRow>,
-    predictions: FrameBoxes,
-    truth: FrameBoxes,
-    own: FrameBoxes,
+    sides: Sides,
     name: &str,
     ego: &str,
 ) -> PyResult<RunFiles> {
-    let protocol = protocol_of(protocol)?;
-    let mut predictions = predictions.split("predictions", frames.len())?;
-    let mut truths = truth.split("truth", frames.len())?;
-    let mut owns = own.split("truth", frames.len())?;
-    let mut collector = Collector::new(protocol);
+    let mut collector = Collector::new(protocol_of(protocol)?);
+    let mut predictions = sides.predictions.split("predictions", frames.len())?;
+    let mut truths = sides.truth.split("truth", frames.len())?;
+    let mut owns = sides.own.split("truth", frames.len())?;
     let agents: Vec<Name> = vec![ego.into(), "others".into()];
     for (at, frame) in frames.iter().enumerate() {
-        let header = |kind| Header::origin(&"arrays".into(), &agents[0], kind, frame.seq, frame.stamp, frame.stamp);
-        let (boxes, points) = truths.remove(&at).unwrap_or_default();
-        let own = frame.own_key.map(|key| (key, owns.remove(&at).unwrap_or_default()));
-        let own = own.map(|(key, (boxes, points))| {
-            let points = points.unwrap_or_default().iter().map(|[own, _]| *own).collect();
-            views("truth", &frame.own_views).map(|views| OwnLabels { boxes, points, key, views })
-        });
-        let truth = GroundTruth {
-            boxes,
-            agents: agents.clone(),
-            points: points.unwrap_or_default().into_flattened(),
-            ego_footprint: frame.ego_footprint,
-            key: frame.key,
-            views: views("truth", &frame.views)?,
-            own: own.transpose()?,
-        };
-        let unscored = |error| refused("truth", error);
-        collector.add_truth(&header(Kind::Truth), &truth).map_err(unscored)?;
+        let take = |side: &mut BTreeMap<usize, Labelled>| side.remove(&at).unwrap_or_default();
+        let truth = frame.truth(&agents, take(&mut truths), take(&mut owns))?;
+        let added = collector.add_truth(&frame.header(&agents[0], Kind::Truth), &truth);
+        added.map_err(|error| refused("truth", error))?;
         if frame.processed {
-            let (found, _) = predictions.remove(&at).unwrap_or_default();
-            let unscored = |error| refused("predictions", error);
-            collector.add_boxes(&header(Kind::Boxes), Boxes(found)).map_err(unscored)?;
+            let (boxes, _) = take(&mut predictions);
+            let added = collector.add_boxes(&frame.header(&agents[0], Kind::Boxes), Boxes(boxes));
+            added.map_err(|error| refused("predictions", error))?;
         }
     }
-    let run = py.detach(|| {
-        let mut evaluation = collector.finish();
-        evaluation.scenes.iter_mut().for_each(|scene| scene.name = name.into());
-        let settings = Settings {
-            graph: "recording".into(),
-            ego: ego.into(),
-            ..Settings::default()
-        };
-        Run::of_evaluation(settings, evaluation, [])
-    });
-    Ok(RunFiles::of(run))
+    Ok(RunFiles::of(py.detach(|| scored(collector, name, ego))))
+}
+
+/// The run that `realo evaluate` makes of what was collected.
+fn scored(collector: Collector, name: &str, ego: &str) -> Run {
+    let mut evaluation = collector.finish();
+    evaluation.scenes.iter_mut().for_each(|scene| scene.name = name.into());
+    let settings = Settings {
+        graph: "recording".into(),
+        ego: ego.into(),
+        ..Settings::default()
+    };
+    Run::of_evaluation(settings, evaluation, [])
 }

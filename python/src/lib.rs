@@ -12,6 +12,7 @@ mod run;
 use std::fmt::Display;
 
 use arrow_array::{Array, RecordBatch};
+use arrow_data::ArrayData;
 use arrow_pyarrow::PyArrowType;
 use pyo3::exceptions::{PyFileNotFoundError, PyValueError};
 use pyo3::prelude::*;
@@ -19,7 +20,7 @@ use realo_logs::LogError;
 use realo_schemas::{Message, wire};
 
 /// A message as Python gets it.
-type Row = PyArrowType<arrow_array::ArrayData>;
+type Row = PyArrowType<ArrayData>;
 /// A table as Python gets it.
 type Columns = PyArrowType<RecordBatch>;
 

@@ -13,7 +13,7 @@ use realo_logs::{Log, LogError, MAX_GAP, Stream, pose_track};
 use realo_operator::Describe;
 use realo_player::{Player, Settings};
 use realo_schemas::{Kind, Message, Nanos, Pose, is_same_stamp};
-use serde_json::json;
+use serde_json::{Map, Value, json};
 
 use crate::messages::{Clouds, Labels, Messages, PlayedTruth, header};
 use crate::{Columns, Row, refused, row, unreadable};
@@ -28,20 +28,23 @@ pub struct LogFile {
 impl LogFile {
     #[new]
     fn new(py: Python, path: PathBuf) -> PyResult<Self> {
-        let log = py.detach(|| Log::open(&path)).map_err(|error| unreadable("path", &error))?;
+        let log = py
+            .detach(|| Log::open(&path))
+            .map_err(|error| unreadable("path", &error))?;
         Ok(LogFile { log })
     }
 
     /// What the log says of itself and what is in it, as JSON.
     fn about(&self) -> PyResult<String> {
         let mut about = serde_json::to_value(self.log.info()).map_err(|error| refused("path", error))?;
-        let names = self.log.info().agents.iter().map(|agent| &agent.name);
-        let streams = |name: &String| {
-            let counts = Stream::ALL.map(|stream| (stream.as_str(), self.log.count(name, stream)));
+        let mut streams = Map::new();
+        for agent in &self.log.info().agents {
+            let counts = Stream::ALL.map(|stream| (stream.as_str(), self.log.count(&agent.name, stream)));
             let counts = counts.into_iter().filter(|(_, n)| *n > 0);
-            (name.clone(), counts.map(|(stream, n)| (stream.to_string(), json!(n))).collect())
-        };
-        about["streams"] = serde_json::Value::Object(names.map(streams).collect());
+            let counts: Map<String, Value> = counts.map(|(stream, n)| (stream.to_string(), json!(n))).collect();
+            streams.insert(agent.name.clone(), counts.into());
+        }
+        about["streams"] = streams.into();
         about["span"] = json!(self.log.span());
         about["scored"] = json!(self.log.key_frames());
         about["truncated"] = json!(self.log.truncation().map(ToString::to_string));
@@ -52,8 +55,15 @@ impl LogFile {
     fn sweeps(&self, py: Python, agent: &str) -> PyResult<Columns> {
         self.known(agent)?;
         let read = || {
-            let (lists, points) = (self.log.count(agent, Stream::Sweeps), self.log.count(agent, Stream::Points));
-            let stream = if lists == points { Stream::Sweeps } else { Stream::Points };
+            let (lists, points) = (
+                self.log.count(agent, Stream::Sweeps),
+                self.log.count(agent, Stream::Points),
+            );
+            let stream = if lists == points {
+                Stream::Sweeps
+            } else {
+                Stream::Points
+            };
             let mut reader = self.log.read_all(&[(agent, stream)])?;
             let (mut seqs, mut stamps, mut readies) = (Vec::new(), Vec::new(), Vec::new());
             while let Some(entry) = reader.next()? {
@@ -75,7 +85,9 @@ impl LogFile {
     fn cloud(&self, py: Python, agent: &str, stamp: Nanos, ready: Nanos) -> PyResult<Row> {
         self.known(agent)?;
         let read = || {
-            let mut reader = self.log.read(&[(agent, Stream::Points)], ready, ready.saturating_add(1))?;
+            let mut reader = self
+                .log
+                .read(&[(agent, Stream::Points)], ready, ready.saturating_add(1))?;
             while let Some(entry) = reader.next()? {
                 if is_same_stamp(entry.stamp(), stamp) {
                     return Ok(Some(Message::new(header(&entry, Kind::Points), entry.cloud()?)));
@@ -127,7 +139,9 @@ impl LogFile {
             points: false,
             ..Settings::default()
         };
-        let player = py.detach(|| Player::new(settings)).map_err(|error| refused("log", error))?;
+        let player = py
+            .detach(|| Player::new(settings))
+            .map_err(|error| refused("log", error))?;
         Ok(Messages::new(PlayedTruth(player)))
     }
 
@@ -144,7 +158,7 @@ impl LogFile {
                 stamps.push(entry.stamp());
                 readies.push(entry.ready());
                 poses.push(Some(seven(&state.map_from_body)));
-                covariances.push(state.covariance.map(|c| c.map(Some)));
+                covariances.push(state.covariance.map(|c| (*c).map(Some)));
             }
             Ok((seqs, stamps, readies, poses, covariances))
         };
@@ -198,11 +212,15 @@ fn seven(pose: &nalgebra::Isometry3<f64>) -> [Option<f64>; 7] {
 
 /// Rows of so many numbers, or null.
 fn lists<I: IntoIterator<Item = Option<f64>>>(rows: Vec<Option<I>>, width: i32) -> ArrayRef {
-    Arc::new(FixedSizeListArray::from_iter_primitive::<Float64Type, _, _>(rows, width))
+    Arc::new(FixedSizeListArray::from_iter_primitive::<Float64Type, _, _>(
+        rows, width,
+    ))
 }
 
 /// A table of columns of one length.
 pub fn table<const N: usize>(columns: [(&str, ArrayRef); N]) -> PyResult<Columns> {
     let batch = RecordBatch::try_from_iter(columns);
-    batch.map(PyArrowType).map_err(|error: ArrowError| refused("log", error))
+    batch
+        .map(PyArrowType)
+        .map_err(|error: ArrowError| refused("log", error))
 }

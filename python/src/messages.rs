@@ -48,19 +48,39 @@ pub fn recorded(path: PathBuf, what: &str) -> PyResult<Messages> {
     let bad = |error: LogError| unreadable("recording", &error);
     let said = |error: LogError| error.to_string();
     Ok(match what {
-        "truth" => Messages::new(realo_recorder::truth_of(path).map_err(bad)?.map(move |m| m.map_err(said))),
-        "boxes" => Messages::new(realo_recorder::boxes_of(path).map_err(bad)?.map(move |m| m.map_err(said))),
+        "truth" => Messages::new(
+            realo_recorder::truth_of(path)
+                .map_err(bad)?
+                .map(move |m| m.map_err(said)),
+        ),
+        "boxes" => Messages::new(
+            realo_recorder::boxes_of(path)
+                .map_err(bad)?
+                .map(move |m| m.map_err(said)),
+        ),
         "detections" => {
             let all = realo_recorder::read_detections(path).map_err(bad)?;
             Messages::new(all.into_iter().map(Ok))
         }
-        _ => return Err(refused("what", format!("expected boxes, detections or truth, found `{what}`"))),
+        _ => {
+            return Err(refused(
+                "what",
+                format!("expected boxes, detections or truth, found `{what}`"),
+            ));
+        }
     })
 }
 
 /// The header of an entry.
 pub fn header(entry: &Entry, kind: Kind) -> Header {
-    Header::origin(&"log".into(), &entry.agent, kind, entry.seq(), entry.stamp(), entry.ready())
+    Header::origin(
+        &"log".into(),
+        &entry.agent,
+        kind,
+        entry.seq(),
+        entry.stamp(),
+        entry.ready(),
+    )
 }
 
 /// Sweeps with their points.
@@ -70,7 +90,7 @@ impl Iterator for Clouds {
     type Item = Result<Message, String>;
 
     fn next(&mut self) -> Option<Self::Item> {
-        let read = || {
+        let mut read = || {
             let Some(entry) = self.0.next()? else { return Ok(None) };
             Ok(Some(Message::new(header(&entry, Kind::Points), entry.cloud()?)))
         };

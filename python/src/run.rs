@@ -3,11 +3,12 @@
 use std::path::PathBuf;
 use std::sync::Arc;
 
-use arrow_array::{ArrayRef, Float32Array, Float64Array, Int64Array, StringArray, UInt64Array};
+use arrow_array::types::{ArrowPrimitiveType, Float32Type, Float64Type, Int64Type, UInt64Type};
+use arrow_array::{ArrayRef, PrimitiveArray, StringArray};
 use pyo3::exceptions::PyFileNotFoundError;
 use pyo3::prelude::*;
 use realo_report::{Format, Options};
-use realo_results::scoring::{Evaluation, Outline, Protocol, frame_scores};
+use realo_results::scoring::{Evaluation, Frame, Outline, Scene, frame_scores};
 use realo_results::{FilesError, Run, read_run, write_run};
 
 use crate::log::table;
@@ -46,7 +47,8 @@ impl RunFiles {
 
     /// Writes the folder of the run.
     fn write(&self, py: Python, folder: PathBuf) -> PyResult<()> {
-        py.detach(|| write_run(&folder, &self.run)).map_err(|error| refused("folder", error))
+        py.detach(|| write_run(&folder, &self.run))
+            .map_err(|error| refused("folder", error))
     }
 
     /// `result.json`.
@@ -66,37 +68,37 @@ impl RunFiles {
 
     /// True and false detections and objects of each scored frame, class and IoU.
     fn frames(&self, py: Python) -> PyResult<Columns> {
-        let scores = py.detach(|| Ok::<_, PyErr>(frame_scores(self.evaluation()?)))?;
-        let rows = scores.iter().flat_map(|frame| {
-            let classes = frame.counts.iter();
-            classes.flat_map(move |(class, ious)| ious.iter().map(move |(iou, counts)| (frame, class, iou, counts)))
-        });
-        let rows: Vec<_> = rows.collect();
-        let texts = |of: fn(&(_, _, _, _)) -> String| Arc::new(StringArray::from_iter_values(rows.iter().map(of)));
-        let iou = rows.iter().map(|(_, _, iou, _)| iou.parse().unwrap_or(f64::NAN));
-        let counts = |of: fn(&realo_results::scoring::Counts) -> u64| {
-            Arc::new(UInt64Array::from_iter_values(rows.iter().map(|(.., counts)| of(counts))))
-        };
+        let evaluation = self.evaluation()?;
+        let scores = py.detach(|| frame_scores(evaluation));
+        let mut rows = Vec::new();
+        for frame in &scores {
+            for (class, ious) in &frame.counts {
+                rows.extend(ious.iter().map(|(iou, counts)| (frame, class, iou, counts)));
+            }
+        }
         table([
-            ("log", texts(|(frame, ..)| frame.scene.clone()) as ArrayRef),
-            ("ego", texts(|(frame, ..)| frame.ego.clone())),
-            ("seq", Arc::new(UInt64Array::from_iter_values(rows.iter().map(|row| row.0.seq)))),
-            ("stamp", Arc::new(Int64Array::from_iter_values(rows.iter().map(|row| row.0.stamp)))),
-            ("class", texts(|(_, class, ..)| class.to_string())),
-            ("iou", Arc::new(Float64Array::from_iter_values(iou))),
-            ("true", counts(|counts| counts.true_positives)),
-            ("false", counts(|counts| counts.false_positives)),
-            ("objects", counts(|counts| counts.total)),
+            ("log", texts(&rows, |row| &row.0.scene)),
+            ("ego", texts(&rows, |row| &row.0.ego)),
+            ("seq", numbers::<UInt64Type, _>(&rows, |row| row.0.seq)),
+            ("stamp", numbers::<Int64Type, _>(&rows, |row| row.0.stamp)),
+            ("class", texts(&rows, |row| row.1)),
+            (
+                "iou",
+                numbers::<Float64Type, _>(&rows, |row| row.2.parse().unwrap_or(f64::NAN)),
+            ),
+            ("true", numbers::<UInt64Type, _>(&rows, |row| row.3.true_positives)),
+            ("false", numbers::<UInt64Type, _>(&rows, |row| row.3.false_positives)),
+            ("objects", numbers::<UInt64Type, _>(&rows, |row| row.3.total)),
         ])
     }
 
-    /// The boxes that were scored: detections, or objects, for which `score` is 1. Extents, m, and headings are as they were rounded.
+    /// The boxes that were scored: detections, or objects, whose score is 1. Places, extents and headings as they were rounded.
     fn scored(&self, detections: bool) -> PyResult<Columns> {
         let evaluation = self.evaluation()?;
-        let mut rows: Vec<(&str, &str, u64, i64, u8, f32, Outline)> = Vec::new();
+        let mut rows: Vec<(&Scene, &Frame, u8, f32, Outline)> = Vec::new();
         for scene in &evaluation.scenes {
             for frame in &scene.frames {
-                let row = |class, score, outline| (&*scene.name, &*scene.ego, frame.seq, frame.stamp, class, score, outline);
+                let row = |class, score, outline| (scene, frame, class, score, outline);
                 match detections {
                     true => rows.extend(frame.detections.iter().map(|d| row(d.class, d.score, d.outline))),
                     false => rows.extend(frame.truths.iter().map(|t| row(t.class, 1.0, t.outline))),
@@ -104,28 +106,39 @@ impl RunFiles {
             }
         }
         let classes = &evaluation.protocol.classes;
-        let names = rows.iter().map(|row| &*classes[usize::from(row.4)].name);
-        let numbers = |of: fn(&Outline) -> f64| Arc::new(Float64Array::from_iter_values(rows.iter().map(|row| of(&row.6))));
         table([
-            ("log", Arc::new(StringArray::from_iter_values(rows.iter().map(|row| row.0))) as ArrayRef),
-            ("ego", Arc::new(StringArray::from_iter_values(rows.iter().map(|row| row.1)))),
-            ("seq", Arc::new(UInt64Array::from_iter_values(rows.iter().map(|row| row.2)))),
-            ("stamp", Arc::new(Int64Array::from_iter_values(rows.iter().map(|row| row.3)))),
-            ("class", Arc::new(StringArray::from_iter_values(names))),
-            ("score", Arc::new(Float32Array::from_iter_values(rows.iter().map(|row| row.5)))),
-            ("x", numbers(|outline| outline.center_m()[0])),
-            ("y", numbers(|outline| outline.center_m()[1])),
-            ("length", numbers(|outline| f64::from(outline.length) * 1e-6)),
-            ("width", numbers(|outline| f64::from(outline.width) * 1e-6)),
-            ("yaw", numbers(|outline| f64::from(outline.yaw) * 1e-8)),
+            ("log", texts(&rows, |row| &row.0.name)),
+            ("ego", texts(&rows, |row| &row.0.ego)),
+            ("seq", numbers::<UInt64Type, _>(&rows, |row| row.1.seq)),
+            ("stamp", numbers::<Int64Type, _>(&rows, |row| row.1.stamp)),
+            ("class", texts(&rows, |row| &classes[usize::from(row.2)].name)),
+            ("score", numbers::<Float32Type, _>(&rows, |row| row.3)),
+            ("x", numbers::<Float64Type, _>(&rows, |row| row.4.center_m()[0])),
+            ("y", numbers::<Float64Type, _>(&rows, |row| row.4.center_m()[1])),
+            (
+                "length",
+                numbers::<Float64Type, _>(&rows, |row| f64::from(row.4.length) / 1e6),
+            ),
+            (
+                "width",
+                numbers::<Float64Type, _>(&rows, |row| f64::from(row.4.width) / 1e6),
+            ),
+            (
+                "yaw",
+                numbers::<Float64Type, _>(&rows, |row| f64::from(row.4.yaw) / 1e8),
+            ),
         ])
     }
+}
 
-    /// IoUs of the protocol, as results name them.
-    fn ious(&self) -> PyResult<Vec<String>> {
-        let protocol = &self.evaluation()?.protocol;
-        Ok(protocol.ious.iter().map(|iou| Protocol::iou_key(*iou)).collect())
-    }
+/// A column of texts.
+fn texts<'a, R>(rows: &'a [R], of: impl Fn(&'a R) -> &'a str) -> ArrayRef {
+    Arc::new(StringArray::from_iter_values(rows.iter().map(of)))
+}
+
+/// A column of numbers.
+fn numbers<T: ArrowPrimitiveType, R>(rows: &[R], of: impl Fn(&R) -> T::Native) -> ArrayRef {
+    Arc::new(PrimitiveArray::<T>::from_iter_values(rows.iter().map(of)))
 }
 
 /// Several runs of the same settings as one, scored over the frames of all.
@@ -138,7 +151,13 @@ pub fn pool(runs: Vec<PyRef<RunFiles>>) -> PyResult<RunFiles> {
 
 /// Runs with their names as `realo compare` prints them.
 #[pyfunction]
-pub fn shown(names: Vec<String>, runs: Vec<PyRef<RunFiles>>, format: &str, full: bool, width: usize) -> PyResult<String> {
+pub fn shown(
+    names: Vec<String>,
+    runs: Vec<PyRef<RunFiles>>,
+    format: &str,
+    full: bool,
+    width: usize,
+) -> PyResult<String> {
     let format = match format {
         "table" => Format::Text,
         "md" => Format::Markdown,
@@ -151,8 +170,15 @@ pub fn shown(names: Vec<String>, runs: Vec<PyRef<RunFiles>>, format: &str, full:
         }
     };
     if names.len() != runs.len() {
-        return Err(refused("names", format!("expected {} names, one a run, found {}", runs.len(), names.len())));
+        return Err(refused(
+            "names",
+            format!("expected {} names, one a run, found {}", runs.len(), names.len()),
+        ));
     }
-    let runs: Vec<(&str, &Run)> = names.iter().map(String::as_str).zip(runs.iter().map(|run| &run.run)).collect();
+    let runs: Vec<(&str, &Run)> = names
+        .iter()
+        .map(String::as_str)
+        .zip(runs.iter().map(|run| &run.run))
+        .collect();
     Ok(realo_report::shown(&runs, &Options { format, full, width }))
 }

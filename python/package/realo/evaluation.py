@@ -66,10 +66,12 @@ def evaluate(
     done = set(numbers) if processed is None else processed
     rows = [objects.row(number, number in done) for number in numbers]
     place = {number: at for at, number in enumerate(numbers)}
-    predicted = _side(found, None, place, "predictions")
-    there = _side(objects.boxes, objects.points, place, "truth")
-    own = _side(objects.own, objects.own_points, place, "truth")
-    return Run(_realo.evaluate(protocol, rows, predicted, there, own, name, ego), name)
+    sides = {
+        "predictions": _side(found, None, place, "predictions"),
+        "truth": _side(objects.boxes, objects.points, place, "truth"),
+        "own": _side(objects.own, objects.own_points, place, "truth"),
+    }
+    return Run(_realo.evaluate(protocol, rows, sides, name, ego), name)
 
 
 def _numbers(boxes: Boxes) -> list[int]:

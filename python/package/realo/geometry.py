@@ -64,8 +64,8 @@ def nms(
     if max_boxes < 1:
         _check.refuse("nms", "max_boxes", "1 or more", f"{max_boxes}", "leave it out")
     limits = [] if region is None else _check.rows("nms", "region", np.reshape(region, (1, -1)), 4).ravel().tolist()
-    row = _boxes("nms", boxes)._row()
-    kept, left = _realo.nms(row, threshold, min_score, max_boxes, per_class, vote, limits)
+    settings = {"threshold": threshold, "min_score": min_score, "max_boxes": max_boxes, "per_class": per_class, "vote": vote}
+    kept, left = _realo.nms(_boxes("nms", boxes)._row(), {**settings, "region": limits})
     numbers = kept.to_numpy().astype(np.int64)
     found = Boxes._of_row(left)
     found.frame = None if boxes.frame is None else boxes.frame[numbers]

@@ -82,12 +82,6 @@ class TestProgram(unittest.TestCase):
         with self.assertRaisesRegex(ValueError, "`graph`"):
             realo.run(["a", "b"], self.log)
 
-    def test_the_example_prints_the_table(self):
-        example = CHECKOUT / "examples/python/evaluate_arrays.py"
-        done = subprocess.run([sys.executable, str(example)], capture_output=True, text=True, cwd=self.folder)
-        self.assertEqual(done.returncode, 0, done.stderr)
-        self.assertIn("mAP", done.stdout)
-
     def test_a_stage_in_python_runs_in_this_install(self):
         stage = CHECKOUT / "examples/python/fusion_boxes.py"
         with mock.patch.dict(os.environ, {"PATH": os.pathsep.join([os.path.dirname(sys.executable), os.environ["PATH"]])}):
