@@ -31,7 +31,10 @@ def optional_rows(where: str, name: str, values: ArrayLike | None, width: int, n
     """`[n, width]` numbers; a row of NaN where they are not known."""
     if values is None:
         return np.full((n, width), np.nan)
-    array: Floats = realo_log.rows_of(where, name, np.reshape(np.asarray(values), (-1, width)), width, n).astype(np.float64)
+    given = np.asarray(values)
+    # A covariance may be a matrix for each row.
+    square = given.ndim == 3 and given.shape[1] * given.shape[2] == width
+    array: Floats = realo_log.rows_of(where, name, given.reshape(-1, width) if square else values, width, n).astype(np.float64)
     there = ~np.isnan(array).all(axis=1)
     realo_log.finite(where, name, array[there])
     return array
@@ -70,10 +73,10 @@ def tracks(where: str, values: object, n: int) -> NDArray[np.object_]:
     for at, track in enumerate(given):
         if track is None or (isinstance(track, (float, np.floating)) and np.isnan(track)):
             continue
-        number = int(track) if isinstance(track, (int, np.integer)) or float(track).is_integer() else -1
-        if not 0 <= number < 2**64 or isinstance(track, (bool, np.bool_)):
+        is_number = isinstance(track, (int, float, np.integer, np.floating)) and not isinstance(track, bool)
+        if not is_number or track != int(track) or not 0 <= int(track) < 2**64:
             refuse(where, "track", "whole numbers from 0, or None", f"{track!r}", "number the tracks")
-        out[at] = number
+        out[at] = int(track)
     return out
 
 
