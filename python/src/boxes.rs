@@ -1,8 +1,9 @@
 //! Geometry of boxes on arrays.
 
-use arrow_array::types::ArrowPrimitiveType;
-use arrow_array::{Array, cast::AsArray};
-use arrow_array::{ArrayData, Float64Array, PrimitiveArray, UInt32Array, make_array};
+use arrow_array::cast::AsArray;
+use arrow_array::types::{ArrowPrimitiveType, Float64Type};
+use arrow_array::{Array, Float64Array, PrimitiveArray, UInt32Array, make_array};
+use arrow_data::ArrayData;
 use arrow_pyarrow::PyArrowType;
 use nalgebra::{Isometry3, Matrix3, Rotation3, Translation3, UnitQuaternion, Vector3};
 use pyo3::prelude::*;

@@ -2,7 +2,6 @@
 
 use std::collections::BTreeMap;
 
-use arrow_array::Array;
 use arrow_array::types::{Int64Type, UInt32Type};
 use pyo3::prelude::*;
 use realo_results::scoring::{Collector, Protocol};

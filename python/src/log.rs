@@ -4,13 +4,13 @@ use std::path::PathBuf;
 use std::sync::Arc;
 
 use arrow_array::types::Float64Type;
-use arrow_array::{ArrayRef, FixedSizeListArray, Float64Array, Int64Array, RecordBatch, UInt64Array};
+use arrow_array::{ArrayRef, FixedSizeListArray, Int64Array, RecordBatch, UInt64Array};
 use arrow_pyarrow::PyArrowType;
 use arrow_schema::ArrowError;
 use pyo3::exceptions::PyKeyError;
 use pyo3::prelude::*;
 use realo_logs::{Log, LogError, MAX_GAP, Stream, pose_track};
-use realo_operator::Describe;
+use realo_operator::Source;
 use realo_player::{Player, Settings};
 use realo_schemas::{Kind, Message, Nanos, Pose, is_same_stamp};
 use serde_json::{Map, Value, json};
