@@ -1,7 +1,5 @@
 //! The evaluator on arrays.
 
-use std::collections::BTreeMap;
-
 use arrow_array::types::{Int64Type, UInt32Type};
 use pyo3::prelude::*;
 use realo_results::scoring::{Collector, Protocol};
@@ -52,11 +50,10 @@ type Labelled = (Vec<Box3>, Option<Vec<[u32; 2]>>);
 
 impl FrameBoxes {
     /// By frame.
-    fn split(self, argument: &str, frames: usize) -> PyResult<BTreeMap<usize, Labelled>> {
+    fn split(self, argument: &str, frames: usize) -> PyResult<Vec<Labelled>> {
         let (_, boxes) = message_of_boxes(argument, self.boxes)?;
         let places = numbers::<UInt32Type>(argument, self.frame)?;
-        let points = [self.points, self.own_points].map(|points| numbers::<Int64Type>(argument, points));
-        let [all, own] = points;
+        let [all, own] = [self.points, self.own_points].map(|points| numbers::<Int64Type>(argument, points));
         let (all, own) = (all?, own?);
         if [places.len(), all.len(), own.len()]
             .iter()
@@ -65,25 +62,18 @@ impl FrameBoxes {
             let reason = format!("expected {} numbers a column, one a box", boxes.len());
             return Err(refused(argument, reason));
         }
-        let mut split: BTreeMap<usize, Labelled> = BTreeMap::new();
+        let mut split: Vec<Labelled> = (0..frames).map(|_| (Vec::new(), Some(Vec::new()))).collect();
         for (at, object) in boxes.into_iter().enumerate() {
-            let frame = places.value(at) as usize;
-            if frame >= frames {
-                return Err(refused(
-                    argument,
-                    format!("expected frames below {frames}, found {frame}"),
-                ));
-            }
-            let (boxes, points) = split.entry(frame).or_insert_with(|| (Vec::new(), Some(Vec::new())));
-            boxes.push(object);
-            let counts = (all.value(at), own.value(at));
-            *points = match (points.take(), u32::try_from(counts.0), u32::try_from(counts.1)) {
-                (Some(mut known), Ok(all), Ok(own)) => {
-                    known.push([own, all.saturating_sub(own)]);
-                    Some(known)
-                }
-                _ => None,
+            let Some((boxes, points)) = split.get_mut(places.value(at) as usize) else {
+                let reason = format!("expected frames below {frames}, found {}", places.value(at));
+                return Err(refused(argument, reason));
             };
+            boxes.push(object);
+            let counts = (u32::try_from(all.value(at)), u32::try_from(own.value(at)));
+            match (points.as_mut(), counts) {
+                (Some(known), (Ok(all), Ok(own))) => known.push([own, all.saturating_sub(own)]),
+                _ => *points = None,
+            }
         }
         Ok(split)
     }
@@ -149,18 +139,16 @@ pub fn evaluate(
     ego: &str,
 ) -> PyResult<RunFiles> {
     let mut collector = Collector::new(protocol_of(protocol)?);
-    let mut predictions = sides.predictions.split("predictions", frames.len())?;
-    let mut truths = sides.truth.split("truth", frames.len())?;
-    let mut owns = sides.own.split("truth", frames.len())?;
+    let predictions = sides.predictions.split("predictions", frames.len())?;
+    let truths = sides.truth.split("truth", frames.len())?;
+    let owns = sides.own.split("truth", frames.len())?;
     let agents: Vec<Name> = vec![ego.into(), "others".into()];
-    for (at, frame) in frames.iter().enumerate() {
-        let take = |side: &mut BTreeMap<usize, Labelled>| side.remove(&at).unwrap_or_default();
-        let truth = frame.truth(&agents, take(&mut truths), take(&mut owns))?;
+    for (((frame, (found, _)), objects), own) in frames.iter().zip(predictions).zip(truths).zip(owns) {
+        let truth = frame.truth(&agents, objects, own)?;
         let added = collector.add_truth(&frame.header(&agents[0], Kind::Truth), &truth);
         added.map_err(|error| refused("truth", error))?;
         if frame.processed {
-            let (boxes, _) = take(&mut predictions);
-            let added = collector.add_boxes(&frame.header(&agents[0], Kind::Boxes), Boxes(boxes));
+            let added = collector.add_boxes(&frame.header(&agents[0], Kind::Boxes), Boxes(found));
             added.map_err(|error| refused("predictions", error))?;
         }
     }

@@ -50,15 +50,20 @@ def texts(where: str, name: str, values: object, n: int) -> NDArray[np.object_]:
     """One text for each of `n` rows, or one for all."""
     if isinstance(values, str):
         return np.full(n, values, object)
+    places: Any = slice(None)
+    if isinstance(values, np.ndarray) and values.ndim == 1 and values.dtype.kind == "U":
+        # Many texts are few names.
+        values, places = np.unique(values, return_inverse=True)
     given: Sequence[Any] = realo_log.listed(where, name, values, f"a text, or a list of {n} texts, one a box")
-    if len(given) != n:
-        refuse(where, name, f"{n} texts, one a box", f"{len(given)}", "give each box one")
     wrong = [text for text in given if not isinstance(text, str) or not text.strip()]
     if wrong:
         refuse(where, name, "texts", f"{wrong[0]!r}", "turn class numbers into names")
-    out = np.empty(n, object)
+    out = np.empty(len(given), object)
     # Plain texts, not those of numpy.
     out[:] = [str(text) for text in given]
+    out = out[places]
+    if len(out) != n:
+        refuse(where, name, f"{n} texts, one a box", f"{len(out)}", "give each box one")
     return out
 
 

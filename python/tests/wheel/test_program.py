@@ -40,9 +40,9 @@ class TestProgram(unittest.TestCase):
         self.assertEqual(realo.read_run(self.out).result, self.found.result)
 
     def test_settings_reach_the_graph(self):
-        changed = realo.run("late_fusion", self.log, ego="car", recorded_detections=True, set={"fusion.nms.threshold": 0.5},
+        changed = realo.run("late_fusion", self.log, ego="car", recorded_detections=True, set={"fusion.nms.threshold": 0.1},
                             agents=["car", "mast"], link="delay_ms=120", seed=3)
-        self.assertIn("fusion.nms.threshold=0.5", changed.result["set"])
+        self.assertIn("fusion.nms.threshold=0.1", changed.result["set"])
         self.assertEqual((changed.result["agents"], changed.result["seed"]), (["car", "mast"], "3"))
         self.assertEqual(realo.run("no_fusion", self.log, ego="mast", recorded_detections=True, coop="i2i", offline=True).result["mode"],
                          "offline")
@@ -57,7 +57,7 @@ class TestProgram(unittest.TestCase):
             boxes = realo.Recording(recording).boxes()
             truth = realo.Log(self.log).truth("car")
             found = realo.evaluate(boxes, truth, protocol, unknown_classes="drop", name="made", ego="car").result
-            self.assertGreater(found["accuracy"]["sorted"]["counts"]["vehicle"]["0.3"]["total"], 50)
+            self.assertGreater(found["accuracy"]["sorted"]["counts"]["vehicle"]["0.3"]["total"], 30)
             for name in SCORES:
                 if name in expected or name in found:
                     self.assertEqual(json.dumps(found[name], sort_keys=True), json.dumps(expected[name], sort_keys=True), name)
@@ -71,7 +71,7 @@ class TestProgram(unittest.TestCase):
         self.assertEqual(frame.stamp, boxes[4].stamp)
 
     def test_what_fails_says_why(self):
-        with self.assertRaisesRegex(realo.RunError, "ended with 1: .*`bus`") as caught:
+        with self.assertRaisesRegex(realo.RunError, "(?s)ended with 1: .*`bus`") as caught:
             realo.run("late_fusion", self.log, ego="bus")
         self.assertEqual(caught.exception.code, 1)
         with self.assertRaises(realo.RunError):
