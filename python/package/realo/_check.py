@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from typing import Any, NoReturn
 
 import numpy as np
+import pyarrow as pa
 import realo_log
 from numpy.typing import ArrayLike, NDArray
 
@@ -53,15 +54,16 @@ def texts(where: str, name: str, values: object, n: int) -> NDArray[np.object_]:
     places: Any = slice(None)
     if isinstance(values, np.ndarray) and values.ndim == 1 and values.dtype.kind == "U":
         # Many texts are few names.
-        values, places = np.unique(values, return_inverse=True)
+        encoded = pa.array(values).dictionary_encode()
+        values, places = encoded.dictionary.to_pylist(), encoded.indices.to_numpy()
     given: Sequence[Any] = realo_log.listed(where, name, values, f"a text, or a list of {n} texts, one a box")
     wrong = [text for text in given if not isinstance(text, str) or not text.strip()]
     if wrong:
         refuse(where, name, "texts", f"{wrong[0]!r}", "turn class numbers into names")
-    out = np.empty(len(given), object)
+    names = np.empty(len(given), object)
     # Plain texts, not those of numpy.
-    out[:] = [str(text) for text in given]
-    out = out[places]
+    names[:] = [str(text) for text in given]
+    out: NDArray[np.object_] = names[places]
     if len(out) != n:
         refuse(where, name, f"{n} texts, one a box", f"{len(out)}", "give each box one")
     return out
