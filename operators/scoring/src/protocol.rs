@@ -233,9 +233,12 @@ impl Protocol {
 
     /// Number of the super-class that a name belongs to; `None` if the name does not count.
     pub fn class_of(&self, raw: &str) -> Option<u8> {
-        let wanted = self.folded(raw);
-        let same = |known: &String| self.folded(known) == wanted;
-        let found = self.classes.iter().position(|class| class.raw.iter().any(same));
+        let of = |same: &dyn Fn(&String) -> bool| self.classes.iter().position(|class| class.raw.iter().any(same));
+        // Mostly a name is written as the protocol has it; then no letter case is compared.
+        let found = of(&|known| known == raw).or_else(|| {
+            let wanted = self.folded(raw);
+            of(&|known| self.folded(known) == wanted)
+        });
         let found = found.or_else(|| self.classes.iter().position(|class| class.name == raw.to_lowercase()));
         found.map(|index| index as u8)
     }

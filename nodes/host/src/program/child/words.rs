@@ -75,7 +75,7 @@ pub(super) fn missing_module(said: &str) -> Option<String> {
     let package = module.split('.').next().unwrap_or(module);
     let python = crate::program::python();
     Some(match package {
-        "realo_operator" | "realo_geometry" => {
+        "realo" | "realo_operator" | "realo_geometry" | "realo_log" => {
             format!("it lies in `python/` of a checkout of realo: `{python} -m pip install CHECKOUT/python`")
         }
         _ => format!("`{python} -m pip install {package}` installs it; `realo doctor` says for which Python"),
