@@ -52,7 +52,13 @@ mod tests {
         ] {
             assert_eq!(address(text).unwrap().to_string(), expected, "{text}");
         }
-        for text in ["dataflows/early_fusion.yml", "99999", "1.2.3:4", "localhost:x", "localhosts"] {
+        for text in [
+            "dataflows/early_fusion.yml",
+            "99999",
+            "1.2.3:4",
+            "localhost:x",
+            "localhosts",
+        ] {
             assert!(address(text).unwrap_err().to_string().contains(text), "{text}");
         }
     }

@@ -36,7 +36,10 @@ pub fn turn_away(mut stream: TcpStream) {
     let _ = stream.set_write_timeout(Some(Duration::from_millis(100)));
     let _ = refuse(
         &mut stream,
-        ("503 Service Unavailable", "As many browsers as may look do so already: close one."),
+        (
+            "503 Service Unavailable",
+            "As many browsers as may look do so already: close one.",
+        ),
     );
 }
 

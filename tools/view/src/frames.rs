@@ -74,7 +74,10 @@ pub fn read(from: &mut impl Read) -> io::Result<Option<Received>> {
     from.read_exact(&mut mask)?;
     let mut content = vec![0; length];
     from.read_exact(&mut content)?;
-    content.iter_mut().zip(mask.iter().cycle()).for_each(|(byte, mask)| *byte ^= mask);
+    content
+        .iter_mut()
+        .zip(mask.iter().cycle())
+        .for_each(|(byte, mask)| *byte ^= mask);
     Ok(match head[0] & 0x0f {
         9 => Some(Received::Ping(content)),
         10 => Some(Received::Pong),

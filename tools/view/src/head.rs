@@ -131,8 +131,17 @@ mod tests {
 
     #[test]
     fn the_own_page_is_answered() {
-        for host in ["127.0.0.1:8800", "localhost:9000", "[::1]:8800", "192.168.1.7:8800", "MINE:8800"] {
-            assert_eq!(ask(&format!("GET / HTTP/1.1\r\nHost: {host}\r\n\r\n")), Ok(Asked::Page(host.into())));
+        for host in [
+            "127.0.0.1:8800",
+            "localhost:9000",
+            "[::1]:8800",
+            "192.168.1.7:8800",
+            "MINE:8800",
+        ] {
+            assert_eq!(
+                ask(&format!("GET / HTTP/1.1\r\nHost: {host}\r\n\r\n")),
+                Ok(Asked::Page(host.into()))
+            );
             let asked = ask(&pictures(host, &format!("origin: http://{host}\r\n")));
             assert_eq!(asked, Ok(Asked::Pictures("dGhlIHNhbXBsZSBub25jZQ==".into())), "{host}");
         }
@@ -140,8 +149,19 @@ mod tests {
 
     #[test]
     fn strangers_are_not_answered() {
-        for host in ["evil.example", "127.0.0.1.evil.example:8800", "[::1", "localhost:8800:1", "", "localhost:x"] {
-            assert_eq!(ask(&format!("GET / HTTP/1.1\r\nHost: {host}\r\n\r\n")), Err(STRANGER), "{host}");
+        for host in [
+            "evil.example",
+            "127.0.0.1.evil.example:8800",
+            "[::1",
+            "localhost:8800:1",
+            "",
+            "localhost:x",
+        ] {
+            assert_eq!(
+                ask(&format!("GET / HTTP/1.1\r\nHost: {host}\r\n\r\n")),
+                Err(STRANGER),
+                "{host}"
+            );
         }
         for origin in [
             "",
@@ -171,7 +191,12 @@ mod tests {
         assert_eq!(ask("POST / HTTP/1.1\r\nHost: localhost\r\n\r\n"), Err(METHOD));
         assert_eq!(ask("GET /x HTTP/1.1\r\nHost: localhost\r\n\r\n"), Err(NOTHING));
         let origin = "Origin: http://localhost\r\n";
-        for (from, to) in [("websocket", "h2c"), ("13", "8"), ("dGhl", ""), ("keep-alive, Upgrade", "close")] {
+        for (from, to) in [
+            ("websocket", "h2c"),
+            ("13", "8"),
+            ("dGhl", ""),
+            ("keep-alive, Upgrade", "close"),
+        ] {
             let head = pictures("localhost", origin).replace(from, to);
             assert_eq!(ask(&head), Err(BAD), "{from}");
         }

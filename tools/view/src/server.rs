@@ -58,7 +58,9 @@ impl Server {
         let failed = |reason: io::Error| ServerError::Bind {
             at,
             hint: match reason.kind() {
-                io::ErrorKind::AddrInUse => "another program serves there: choose another port, or none to have a free one",
+                io::ErrorKind::AddrInUse => {
+                    "another program serves there: choose another port, or none to have a free one"
+                }
                 io::ErrorKind::PermissionDenied => "choose a port above 1023",
                 io::ErrorKind::AddrNotAvailable => "choose an address of this machine, or 127.0.0.1",
                 _ => "choose another address, as 127.0.0.1",
@@ -132,7 +134,10 @@ fn names() -> Vec<String> {
     let own = own.trim();
     let of_network = format!("{own}.local");
     let all = ["localhost", own, &of_network];
-    all.into_iter().filter(|name| !name.is_empty()).map(String::from).collect()
+    all.into_iter()
+        .filter(|name| !name.is_empty())
+        .map(String::from)
+        .collect()
 }
 
 fn serve(listener: &TcpListener, shared: &Arc<Shared>) {

@@ -14,12 +14,17 @@ static ALONE: Mutex<()> = Mutex::new(());
 const MIB: usize = 1 << 20;
 
 fn server() -> Server {
-    Server::start(SocketAddr::from(([127, 0, 0, 1], 0)), |host| format!("<p>page for {host}</p>")).expect("a free port")
+    Server::start(SocketAddr::from(([127, 0, 0, 1], 0)), |host| {
+        format!("<p>page for {host}</p>")
+    })
+    .expect("a free port")
 }
 
 fn connect(server: &Server) -> TcpStream {
     let stream = TcpStream::connect(server.address()).expect("it listens");
-    stream.set_read_timeout(Some(Duration::from_secs(30))).expect("a socket");
+    stream
+        .set_read_timeout(Some(Duration::from_secs(30)))
+        .expect("a socket");
     stream
 }
 
@@ -52,7 +57,10 @@ fn looking(server: &Server) -> TcpStream {
         head.push(byte[0]);
     }
     let head = String::from_utf8(head).expect("a head is text");
-    assert!(head.starts_with("HTTP/1.1 101 ") && head.contains("s3pPLMBiTxaQ9kYGzzhZRbK+xOo="), "{head}");
+    assert!(
+        head.starts_with("HTTP/1.1 101 ") && head.contains("s3pPLMBiTxaQ9kYGzzhZRbK+xOo="),
+        "{head}"
+    );
     stream
 }
 
@@ -93,8 +101,14 @@ fn shown(stream: &mut TcpStream) -> Vec<u8> {
 fn a_page_gets_the_scene_and_all_pictures_in_order() {
     let _alone = ALONE.lock();
     let server = server();
-    let page = said(&server, format!("GET / HTTP/1.1\r\nHost: {}\r\n\r\n", server.address()).as_bytes());
-    assert!(page.starts_with("HTTP/1.1 200 ") && page.ends_with(&format!("<p>page for {}</p>", server.address())), "{page}");
+    let page = said(
+        &server,
+        format!("GET / HTTP/1.1\r\nHost: {}\r\n\r\n", server.address()).as_bytes(),
+    );
+    assert!(
+        page.starts_with("HTTP/1.1 200 ") && page.ends_with(&format!("<p>page for {}</p>", server.address())),
+        "{page}"
+    );
     let mut early = looking(&server);
     server.open("a scene");
     server.picture(vec![1; 100_000]);
@@ -106,7 +120,9 @@ fn a_page_gets_the_scene_and_all_pictures_in_order() {
         assert_eq!(shown(stream), b"words");
     }
     // A masked ping gets a pong with the same content.
-    early.write_all(&[0x89, 0x82, 1, 2, 3, 4, b'h' ^ 1, b'i' ^ 2]).expect("it listens");
+    early
+        .write_all(&[0x89, 0x82, 1, 2, 3, 4, b'h' ^ 1, b'i' ^ 2])
+        .expect("it listens");
     while frame(&mut early) != (10, b"hi".to_vec()) {}
     drop(server);
     while frame(&mut late).0 != 8 {}
@@ -119,7 +135,10 @@ fn strangers_and_junk_get_nothing() {
     server.open("a secret scene");
     for origin in ["http://evil.example", "null", "http://127.0.0.1:1"] {
         let answer = said(&server, upgrade(&server, origin).as_bytes());
-        assert!(answer.starts_with("HTTP/1.1 403 ") && !answer.contains("secret"), "{answer}");
+        assert!(
+            answer.starts_with("HTTP/1.1 403 ") && !answer.contains("secret"),
+            "{answer}"
+        );
     }
     let rebound = said(&server, b"GET / HTTP/1.1\r\nHost: evil.example\r\n\r\n");
     assert!(rebound.starts_with("HTTP/1.1 403 "), "{rebound}");
@@ -135,13 +154,20 @@ fn strangers_and_junk_get_nothing() {
     let mut rest = Vec::new();
     let _ = talker.read_to_end(&mut rest);
     assert!(rest.len() < MIB);
-    assert_eq!(shown(&mut looking(&server)), b"a secret scene", "the own page is served all the while");
+    assert_eq!(
+        shown(&mut looking(&server)),
+        b"a secret scene",
+        "the own page is served all the while"
+    );
 }
 
 /// Memory of this process, bytes.
 fn memory() -> usize {
     let status = fs::read_to_string("/proc/self/status").expect("it is Linux");
-    let line = status.lines().find_map(|line| line.strip_prefix("VmRSS:")).expect("it has memory");
+    let line = status
+        .lines()
+        .find_map(|line| line.strip_prefix("VmRSS:"))
+        .expect("it has memory");
     let kib: usize = line.trim().trim_end_matches(" kB").parse().expect("a number");
     kib * 1024
 }
@@ -214,6 +240,12 @@ fn who_connects_again_and_again_finds_a_server_that_goes_on() {
 fn a_port_that_is_taken_is_a_clear_error() {
     let taken = TcpListener::bind("127.0.0.1:0").expect("a free port");
     let at = taken.local_addr().expect("it has an address");
-    let error = Server::start(at, |_| String::new()).err().expect("it is taken").to_string();
-    assert!(error.contains(&at.to_string()) && error.contains("choose another port"), "{error}");
+    let error = Server::start(at, |_| String::new())
+        .err()
+        .expect("it is taken")
+        .to_string();
+    assert!(
+        error.contains(&at.to_string()) && error.contains("choose another port"),
+        "{error}"
+    );
 }
