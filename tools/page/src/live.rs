@@ -9,7 +9,7 @@ use nalgebra::Vector3;
 use realo_logs::{Log, MAX_GAP, program};
 use realo_schemas::geometry::PoseTrack;
 use realo_schemas::report::Fated;
-use realo_schemas::{AgentState, Boxes, GroundTruth, Header, Kind, Message, Name, Nanos, Payload, PointCloud};
+use realo_schemas::{AgentState, Header, Kind, Message, Name, Nanos, Payload, PointCloud};
 use realo_scoring::Protocol;
 use serde_json::{Value, json};
 
@@ -28,6 +28,8 @@ const KEPT_CLOUDS: usize = 8;
 const KEPT_SWEEPS: usize = 64;
 /// What an agent saw is drawn where it is so near to the ego's sweep, ns.
 const NEAR: Nanos = 120_000_000;
+/// An agent whose sweeps are older than this sends no more, ns.
+const GONE: Nanos = 1_000_000_000;
 /// Agents whose sweeps and poses are kept; a log has fewer.
 const MOST_AGENTS: usize = 64;
 
@@ -117,14 +119,18 @@ impl Live {
     /// # Errors
     /// Truth and boxes that cannot be compared.
     pub fn see(&mut self, Message { header, payload }: Message) -> Result<Vec<Vec<u8>>, PageError> {
+        let seq = header.seq;
         match payload {
             Payload::PointCloud(cloud) => self.see_cloud(&header, cloud),
             Payload::AgentState(state) => self.see_state(&header, &state),
-            Payload::GroundTruth(truth) => return self.see_truth(header, truth),
-            Payload::Boxes(boxes) => return self.see_boxes(header, boxes),
+            Payload::GroundTruth(truth) => self.sweeps.entry(seq).or_default().truth = Some((header, truth)),
+            Payload::Boxes(boxes) => self.sweeps.entry(seq).or_default().boxes = Some((header, boxes)),
             _ => {}
         }
-        Ok(Vec::new())
+        while self.sweeps.len() > KEPT_SWEEPS {
+            self.sweeps.pop_first();
+        }
+        self.whole_until().map_or(Ok(Vec::new()), |last| self.draw_until(last))
     }
 
     fn see_cloud(&mut self, header: &Header, cloud: PointCloud) {
@@ -150,34 +156,26 @@ impl Live {
         self.scene.agent(&header.agent, self.log.as_ref());
     }
 
-    fn see_truth(&mut self, header: Header, truth: GroundTruth) -> Result<Vec<Vec<u8>>, PageError> {
-        let seq = header.seq;
-        let sweep = self.sweeps.entry(seq).or_default();
-        sweep.truth = Some((header, truth));
-        let is_whole = sweep.boxes.is_some();
-        self.forget();
-        if is_whole { self.draw_until(seq) } else { Ok(Vec::new()) }
-    }
-
-    fn see_boxes(&mut self, header: Header, boxes: Boxes) -> Result<Vec<Vec<u8>>, PageError> {
-        let seq = header.seq;
-        let sweep = self.sweeps.entry(seq).or_default();
-        sweep.boxes = Some((header, boxes));
-        let is_whole = sweep.truth.is_some() || !self.watched.has_truth;
-        self.forget();
-        match is_whole {
-            true => self.draw_until(seq),
-            // What is there may come later; of an earlier sweep it does not come any more.
-            false => seq
-                .checked_sub(1)
-                .map_or(Ok(Vec::new()), |before| self.draw_until(before)),
+    /// The newest sweep that can be drawn with all before it. The newest boxes wait for what is there and for the sweeps of others;
+    /// once later boxes are there, nobody waits for that any more.
+    fn whole_until(&self) -> Option<u64> {
+        let mut with_boxes = self
+            .sweeps
+            .iter()
+            .rev()
+            .filter_map(|(seq, sweep)| Some((*seq, sweep.boxes.as_ref()?, sweep)));
+        let (newest, (header, _), sweep) = with_boxes.next()?;
+        let is_known = sweep.truth.is_some() || !self.watched.has_truth;
+        match is_known && self.has_clouds(header.stamp) {
+            true => Some(newest),
+            false => with_boxes.next().and_then(|_| newest.checked_sub(1)),
         }
     }
 
-    fn forget(&mut self) {
-        while self.sweeps.len() > KEPT_SWEEPS {
-            self.sweeps.pop_first();
-        }
+    /// Whether every agent whose sweeps come has sent the one around a time.
+    fn has_clouds(&self, stamp: Nanos) -> bool {
+        let mut newest = self.clouds.values().filter_map(|known| Some(known.back()?.0));
+        newest.all(|at| at >= stamp - NEAR / 2 || at < stamp - GONE)
     }
 
     /// Draws what is known up to a sweep.
@@ -289,7 +287,7 @@ fn bytes(head: &Value, points: &[u8]) -> Vec<u8> {
 mod tests {
     use nalgebra::{Isometry3, Translation3, UnitQuaternion};
     use realo_schemas::report::{Crossing, Fate, Use};
-    use realo_schemas::{Box3, Pose, PoseStatus};
+    use realo_schemas::{Box3, Boxes, GroundTruth, Pose, PoseStatus};
 
     use super::*;
 
@@ -370,12 +368,13 @@ mod tests {
             state("cav1", 1000.0, 3),
             state("rsu1", 1010.0, 3),
             cloud("cav1", 3),
-            cloud("rsu1", 3),
+            cloud("rsu1", 2),
             boxes(3),
+            truth(3),
         ] {
             assert!(live.see(message).unwrap().is_empty());
         }
-        let pictures = live.see(truth(3)).unwrap();
+        let pictures = live.see(cloud("rsu1", 3)).unwrap();
         assert_eq!(pictures.len(), 1);
         let (head, points) = read(&pictures[0]);
         assert_eq!(head["seq"], 3);

@@ -49,12 +49,14 @@ impl Gate {
             }
             Sweeps::ByClock => {
                 self.open(now);
-                self.newest = self.newest.max(stamp);
-                if kind != PayloadType::AgentState
-                    && let Some((first, end @ None)) = self.windows.back_mut()
-                    && *first <= stamp
-                {
-                    *end = Some(stamp + NEAR);
+                // Poses are ahead of sweeps, which come at their end.
+                if kind != PayloadType::AgentState {
+                    self.newest = self.newest.max(stamp);
+                    if let Some((first, end @ None)) = self.windows.back_mut()
+                        && *first <= stamp
+                    {
+                        *end = Some(stamp + NEAR);
+                    }
                 }
                 let mut windows = self.windows.iter();
                 windows.any(|(first, end)| *first <= stamp + around && end.is_none_or(|end| stamp - around <= end))
@@ -77,7 +79,8 @@ impl Gate {
 
 #[cfg(test)]
 mod tests {
-    use realo_schemas::{Boxes, Header, Kind, Payload, PointCloud};
+    use nalgebra::Isometry3;
+    use realo_schemas::{AgentState, Boxes, Header, Kind, Payload, PointCloud, PoseStatus};
 
     use super::*;
 
@@ -88,6 +91,17 @@ mod tests {
         Message::new(header, payload)
     }
 
+    fn state_at(stamp: Nanos) -> Message {
+        let state = AgentState {
+            map_from_body: Isometry3::identity(),
+            covariance: None,
+            velocity: None,
+            angular_rate: None,
+            status: PoseStatus::Recorded,
+        };
+        at(stamp, state)
+    }
+
     /// Stamps of sweeps and of boxes that are seen of a log that is played so many times as fast as the wall clock; boxes come 300
     /// ms after their sweep.
     fn seen(sweeps: Sweeps, times: u32, seconds: Nanos) -> (Vec<Nanos>, Vec<Nanos>) {
@@ -96,6 +110,10 @@ mod tests {
         for tenth in 0..10 * seconds {
             let stamp = tenth * TENTH;
             let now = begun + Duration::from_nanos(stamp as u64) / times;
+            for state in 0..10 {
+                // They are stamped later than the sweep that comes with them.
+                gate.lets_through(&state_at(stamp + state * TENTH / 10), now);
+            }
             if gate.lets_through(&at(stamp, PointCloud::empty()), now) {
                 clouds.push(tenth);
             }

@@ -9,7 +9,7 @@ const AGAIN = 1000;
 const SLOWLY = 1000;
 
 /** What is known of the run; a test reads how many pictures came. */
-const live = { shows: true, reached: false, run: null, pictures: 0, points: 0, times: [], slow: 0, fitted: null, classes: 0 };
+const live = { shows: true, reached: false, run: null, pictures: 0, points: 0, times: [], slow: -SLOWLY, fitted: null, classes: 0 };
 
 function say(words) {
   byId("what").textContent = words;
@@ -167,6 +167,7 @@ function startLive() {
   for (const section of document.querySelectorAll("main > section")) section.hidden = !["verdict", "player"].includes(section.id);
   byId("player").hidden = true;
   byId("title").textContent = "realo";
+  for (const id of ["scoreboard", "sentences", "omitted"]) byId(id).remove();
   byId("foot").textContent = `Made by ${DOC.program}. Words are explained in docs/glossary.md of realo.`;
   live.button = el("button", { type: "button", id: "live", "aria-pressed": "true", onclick: () => setShows(!live.shows) }, "Live");
   byId("nav").replaceChildren(live.button);
