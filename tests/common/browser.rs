@@ -1,4 +1,5 @@
 //! A headless Chromium, driven by its DevTools protocol over pipes.
+#![allow(dead_code)]
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
