@@ -1,4 +1,5 @@
 //! A headless Chromium, driven by its DevTools protocol over pipes.
+#![allow(dead_code)]
 
 use std::io::{BufRead, BufReader, Write};
 use std::path::{Path, PathBuf};
@@ -110,12 +111,22 @@ impl Browser {
         let scheme = if dark { "dark" } else { "light" };
         let media = json!({"features": [{"name": "prefers-color-scheme", "value": scheme}]});
         self.call("Emulation.setEmulatedMedia", media);
+        self.go(&format!("file://{}{hash}", file.display()), "file:");
+    }
+
+    /// Opens an address on a screen of this size, and waits until its page is there.
+    pub fn visit(&mut self, url: &str, [width, height]: [u32; 2]) {
+        let size = json!({"width": width, "height": height, "deviceScaleFactor": 1, "mobile": false});
+        self.call("Emulation.setDeviceMetricsOverride", size);
+        self.go(url, "http:");
+    }
+
+    fn go(&mut self, url: &str, protocol: &str) {
         self.call("Page.navigate", json!({"url": "about:blank"}));
-        self.call(
-            "Page.navigate",
-            json!({"url": format!("file://{}{hash}", file.display())}),
-        );
-        self.wait("location.protocol === 'file:' && document.readyState === 'complete'");
+        self.call("Page.navigate", json!({"url": url}));
+        self.wait(&format!(
+            "location.protocol === '{protocol}' && document.readyState === 'complete'"
+        ));
     }
 
     /// The value of an expression on the page.

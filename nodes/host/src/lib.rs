@@ -8,6 +8,7 @@ mod program;
 mod reorder;
 mod shared;
 mod stages;
+mod tap;
 mod time;
 pub mod virtual_time;
 
@@ -15,4 +16,5 @@ pub use profile::ComputeProfile;
 pub use program::{Child, Guard, Program, interpreter, python};
 pub use shared::{Outline, Shared, Sharing};
 pub use stages::{BuildError, Stages};
+pub use tap::{Inlet, Seen, Sweeps, TAP_VARIABLE, Tap};
 pub use time::wall_now;

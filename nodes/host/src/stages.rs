@@ -1,13 +1,13 @@
 //! From the nodes of a graph to stages that can be called.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
 use realo_engine::Wiring;
 use realo_graph::{FlatGraph, FlatNode, OUTSIDE, misdeclared};
 use realo_operator::{Built, PortId, Registration, Registry};
 
-use crate::Program;
+use crate::{Program, Tap};
 
 /// A stage that cannot be built.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -101,6 +101,20 @@ impl Stages {
         stages[index].leaves[port.0] = true;
         self.exits.insert(name.into(), (index, port));
         Ok(())
+    }
+
+    /// Has the outputs that a tap wants leave their stages; gives these.
+    pub(crate) fn let_see(&mut self, tap: &Tap) -> BTreeSet<(usize, PortId)> {
+        let mut seen = BTreeSet::new();
+        for (index, stage) in self.wiring.stages.iter_mut().enumerate() {
+            for (number, output) in stage.registration.outputs.iter().enumerate() {
+                if tap.wants(&stage.id, output.name) {
+                    stage.leaves[number] = true;
+                    seen.insert((index, PortId(number)));
+                }
+            }
+        }
+        seen
     }
 
     /// Has nobody wait long for plug-ins that do not answer.

@@ -14,7 +14,7 @@ use realo_schemas::{Message, Nanos};
 use rustix::time::{ClockId, clock_gettime};
 
 use crate::shared::{Recorder, Serving, mark_of};
-use crate::{BuildError, ComputeProfile, Outline, Shared, Stages};
+use crate::{BuildError, ComputeProfile, Outline, Shared, Stages, Tap};
 
 /// Why a run in virtual time failed.
 #[derive(Debug, thiserror::Error)]
@@ -98,6 +98,29 @@ pub fn run_watched(
     watch: impl FnMut(Progress),
 ) -> Result<Books, RunError> {
     simulate(stages, Some(compute), observer, None, watch)
+}
+
+/// As [`run_watched`]; a tap sees what it wants.
+///
+/// # Errors
+/// As [`run`].
+pub fn run_tapped(
+    stages: &Stages,
+    compute: &ComputeProfile,
+    tap: &Tap,
+    watch: impl FnMut(Progress),
+) -> Result<Books, RunError> {
+    let mut stages = stages.clone();
+    stages.let_see(tap);
+    let simulation = Simulation::begin(&stages, Some(compute), None, None)?;
+    play(
+        Simulation {
+            tap: Some(tap),
+            ..simulation
+        },
+        None,
+        watch,
+    )
 }
 
 /// As [`run_watched`], with calls in common with other runs; gives the same to the bit.
@@ -209,17 +232,25 @@ fn simulate(
     compute: Option<&ComputeProfile>,
     observer: Option<Observer>,
     shared: Option<(&Shared, &Outline)>,
-    mut watch: impl FnMut(Progress),
+    watch: impl FnMut(Progress),
 ) -> Result<Books, RunError> {
-    let mut simulation = match Simulation::begin(stages, compute, observer, shared) {
-        Ok(simulation) => simulation,
+    match Simulation::begin(stages, compute, observer, shared) {
+        Ok(simulation) => play(simulation, shared, watch),
         Err(error) => {
             if let Some((shared, outline)) = shared {
                 shared.end(outline, Vec::new(), false);
             }
-            return Err(error);
+            Err(error)
         }
-    };
+    }
+}
+
+/// Plays a run to its end.
+fn play(
+    mut simulation: Simulation,
+    shared: Option<(&Shared, &Outline)>,
+    mut watch: impl FnMut(Progress),
+) -> Result<Books, RunError> {
     let mut play = || -> Result<(), RunError> {
         while let Some(now) = simulation.due()? {
             watch(Progress::At(now));
@@ -243,6 +274,7 @@ struct Simulation<'a> {
     /// `None`: as measured.
     compute: Option<&'a ComputeProfile>,
     observer: Option<Observer<'a>>,
+    tap: Option<&'a Tap>,
     /// Time of the last event.
     now: Nanos,
     /// What the calls of each stage took on this machine, ns.
@@ -267,8 +299,8 @@ impl<'a> Simulation<'a> {
                 name: stage.registration.name,
             });
         }
-        for stage in &mut wiring.stages {
-            stage.leaves.fill(observer.is_some());
+        if observer.is_some() {
+            wiring.stages.iter_mut().for_each(|stage| stage.leaves.fill(true));
         }
         if is_ending() {
             return Err(RunError::Ended);
@@ -286,6 +318,7 @@ impl<'a> Simulation<'a> {
             shared: shared.map(|(shared, _)| shared),
             compute,
             observer,
+            tap: None,
             now: Nanos::MIN,
             took: vec![0; wiring.stages.len()],
             concludes: false,
@@ -325,8 +358,14 @@ impl<'a> Simulation<'a> {
             eprintln!("realo: {line}");
         }
         // The sinks of this graph know it.
-        self.engine.take_fates();
+        let fates = self.engine.take_fates();
+        if let Some(tap) = self.tap {
+            tap.see_fates(&fates);
+        }
         for Leaving { stage, port, message } in self.engine.take_leaving() {
+            if let Some(tap) = self.tap {
+                tap.see(&message);
+            }
             if let Some(observer) = &mut self.observer {
                 let output = self.engine.registration(stage).outputs[port.0].name;
                 observer(self.engine.id(stage), output, &message);

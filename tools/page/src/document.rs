@@ -99,7 +99,7 @@ impl RunPart {
 }
 
 /// Words that rows name by their places.
-fn words() -> Value {
+pub fn words() -> Value {
     json!({
         "kinds": Kind::ALL.map(Kind::as_str),
         "fates": Fate::ALL,

@@ -4,9 +4,12 @@ use realo_render::escaped;
 
 const PAGE: &str = include_str!("page/index.html");
 const STYLE: &str = include_str!("page/style.css");
+const TOOLS: &str = include_str!("page/tools.js");
+const PLAYER: &str = include_str!("page/player.js");
+const LIVE: &str = include_str!("page/live.js");
 const SCRIPTS: [&str; 4] = [
-    include_str!("page/tools.js"),
-    include_str!("page/player.js"),
+    TOOLS,
+    PLAYER,
     include_str!("page/charts.js"),
     include_str!("page/report.js"),
 ];
@@ -16,14 +19,34 @@ const SCRIPTS: [&str; 4] = [
 /// Names of others come into the page as text alone: a `<` of the document is written as its escape, so that it ends no
 /// element; the title is escaped for HTML.
 pub fn html(title: &str, json: &str, points: &str) -> String {
-    let parts = [
+    filled([
         ("title", escaped(title)),
+        ("what", "report".into()),
+        ("contact", String::new()),
         ("style", STYLE.into()),
         ("data", json.replace('<', "\\u003c")),
         ("points", points.into()),
         ("scripts", SCRIPTS.join("\n")),
-    ];
-    let mut page = String::with_capacity(json.len() + points.len() + (1 << 18));
+    ])
+}
+
+/// The page of a run that goes on. `host`: name or number, and port, of the server that it comes from and asks for pictures; nothing
+/// else can be asked.
+pub fn live_html(host: &str, json: &str) -> String {
+    filled([
+        ("title", "live".into()),
+        ("what", "view".into()),
+        ("contact", format!("; connect-src ws://{}", escaped(host))),
+        ("style", STYLE.into()),
+        ("data", json.replace('<', "\\u003c")),
+        ("points", String::new()),
+        ("scripts", [TOOLS, PLAYER, LIVE].join("\n")),
+    ])
+}
+
+fn filled(parts: [(&str, String); 7]) -> String {
+    let length: usize = parts.iter().map(|(_, text)| text.len()).sum();
+    let mut page = String::with_capacity(PAGE.len() + length);
     let mut rest = PAGE;
     // In one pass, so that nothing that is put in is looked at again.
     while let Some((before, after)) = rest.split_once("{{") {
@@ -72,7 +95,8 @@ mod tests {
             assert!(!page.contains(outside), "{outside}");
         }
         assert!(
-            SCRIPTS
+            [&SCRIPTS[..], &[LIVE]]
+                .concat()
                 .iter()
                 .all(|script| !script.contains("</script") && !script.contains("<!--"))
         );

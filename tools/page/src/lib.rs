@@ -12,12 +12,14 @@
 //! | `verdict` | three sentences on what came out |
 //! | `points` | sweeps of agents, in few bytes |
 //! | `html` | the page around the document |
+//! | `live` | the sweeps of a run that goes on |
 
 mod curves;
 mod document;
 mod error;
 mod html;
 mod judged;
+mod live;
 mod points;
 mod recorded;
 mod scenes;
@@ -30,6 +32,7 @@ use realo_results::{Run, read_run};
 
 pub use error::{DifferentProtocols, PageError};
 pub use html::html;
+pub use live::{Live, Watched, live_page};
 pub use verdict::sentences as verdict;
 
 use document::{Document, RunPart};

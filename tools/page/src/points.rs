@@ -3,12 +3,13 @@
 use std::collections::{BTreeMap, BTreeSet, HashSet};
 use std::hash::{BuildHasherDefault, Hasher};
 
-use nalgebra::{Isometry3, Translation3, UnitQuaternion};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use realo_logs::{Log, MAX_GAP, Stream, pose_track};
 use realo_render::clouds::in_ego_frame;
 use realo_render::{RenderError, single_runs};
 use realo_results::read_run;
-use realo_schemas::Nanos;
+use realo_schemas::geometry::PoseTrack;
+use realo_schemas::{Nanos, PointCloud};
 use serde::Serialize;
 
 use crate::scenes::{PoseRow, Scenes};
@@ -130,10 +131,7 @@ impl Points {
                     let Some(pose) = track.at(stamp).filter(|_| is_near(times, t)) else {
                         continue;
                     };
-                    let from = (pose.translation.vector - origin).map(|metres| (metres * 100.0).round() / 100.0);
-                    let map_from_here =
-                        Isometry3::from_parts(Translation3::from(from + origin), UnitQuaternion::identity());
-                    let cloud = in_ego_frame(&entry.cloud()?, stamp, &track, &map_from_here, &pose);
+                    let (from, cloud) = placed(&entry.cloud()?, stamp, &track, &pose, origin);
                     let near_object = objects.at(t);
                     let is_object = |point: &[f32; 3]| {
                         let [x, y] = [from.x + f64::from(point[0]), from.y + f64::from(point[1])];
@@ -143,13 +141,7 @@ impl Points {
                     largest = largest.max(side);
                     // The next sweep needs about the same.
                     cell = (side / GROWTH).max(CELL);
-                    points.add(
-                        name,
-                        agent,
-                        t,
-                        [from.x, from.y, from.z].map(|metres| (metres * 100.0).round() as i64),
-                        &cloud,
-                    );
+                    points.add(name, agent, t, centimetres(from), &cloud);
                 }
             }
         }
@@ -164,12 +156,7 @@ impl Points {
     }
 
     fn add(&mut self, log: &str, agent: &str, t: i64, from: [i64; 3], cloud: &[[f32; 3]]) {
-        let bytes: Vec<u8> = cloud
-            .iter()
-            // A cast saturates.
-            .flat_map(|point| point.map(|metres| (metres / STEP).round() as i16))
-            .flat_map(i16::to_le_bytes)
-            .collect();
+        let bytes: Vec<u8> = steps(cloud).collect();
         let begin = self.text.len();
         base64(&bytes, &mut self.text);
         self.count += cloud.len();
@@ -181,6 +168,33 @@ impl Points {
             text: [begin, self.text.len() - begin],
         });
     }
+}
+
+/// A sweep in the axes of the map, without the agent's own motion; and the place near the agent that it counts from, m from the
+/// origin of the scene.
+pub fn placed(
+    cloud: &PointCloud,
+    stamp: Nanos,
+    track: &PoseTrack,
+    map_from_agent: &Isometry3<f64>,
+    origin: Vector3<f64>,
+) -> (Vector3<f64>, Vec<[f32; 3]>) {
+    let from = (map_from_agent.translation.vector - origin).map(|metres| (metres * 100.0).round() / 100.0);
+    let map_from_here = Isometry3::from_parts(Translation3::from(from + origin), UnitQuaternion::identity());
+    (from, in_ego_frame(cloud, stamp, track, &map_from_here, map_from_agent))
+}
+
+pub fn centimetres(place: Vector3<f64>) -> [i64; 3] {
+    [place.x, place.y, place.z].map(|metres| (metres * 100.0).round() as i64)
+}
+
+/// Points as the page takes them: x, y, z, x, y, z … as i16, little-endian, steps of 2 cm.
+pub fn steps(cloud: &[[f32; 3]]) -> impl Iterator<Item = u8> {
+    cloud
+        .iter()
+        // A cast saturates.
+        .flat_map(|point| point.map(|metres| (metres / STEP).round() as i16))
+        .flat_map(i16::to_le_bytes)
 }
 
 /// A page with points needs every log.

@@ -41,7 +41,8 @@ pub struct Recorded {
 const MOST_FATES: usize = 200_000;
 
 impl Recorded {
-    fn empty() -> Self {
+    /// One that holds nothing yet.
+    pub fn empty() -> Self {
         Recorded {
             sweeps: BTreeMap::new(),
             stride: 1,

@@ -12,7 +12,7 @@ use realo_logs::{AgentKind, Log, LogError, Stream};
 use realo_render::{RECORDING, RenderError, clouds, single_runs};
 use realo_results::{Run, read_run};
 use realo_schemas::geometry::yaw_of;
-use realo_schemas::report::Fate;
+use realo_schemas::report::{Fate, Fated};
 use realo_schemas::{Box3, Kind, Nanos};
 use realo_scoring::{Protocol, same_truth};
 use serde::Serialize;
@@ -32,7 +32,7 @@ pub struct Names {
 }
 
 impl Names {
-    fn class(&mut self, name: &str) -> i32 {
+    pub fn class(&mut self, name: &str) -> i32 {
         place(&mut self.classes, name) as i32
     }
 }
@@ -89,7 +89,7 @@ pub struct ScenePart {
     pub tracks: BTreeMap<u64, i32>,
 }
 
-#[derive(Debug, Serialize)]
+#[derive(Clone, Debug, PartialEq, Serialize)]
 pub struct AgentPart {
     pub name: String,
     pub roadside: bool,
@@ -119,6 +119,18 @@ pub struct SceneRun {
     pub frames: BTreeMap<u64, RunFrame>,
     /// `[agent, kind, number, fate, time]` of messages to the ego; a message that was not used is placed by its number.
     pub messages: Vec<[i64; 5]>,
+}
+
+impl SceneRun {
+    /// The only run of a page, without sweeps.
+    pub fn empty() -> Self {
+        SceneRun {
+            run: 0,
+            recorded: 0,
+            frames: BTreeMap::new(),
+            messages: Vec::new(),
+        }
+    }
 }
 
 #[derive(Debug, Default, Serialize)]
@@ -327,7 +339,7 @@ impl Scenes {
 }
 
 /// Stamp and pose of a sweep that has both.
-fn begin(sweep: &Sweep) -> Option<(Nanos, Isometry3<f64>)> {
+pub fn begin(sweep: &Sweep) -> Option<(Nanos, Isometry3<f64>)> {
     let boxes = sweep.boxes.as_ref().map(|(header, _)| header);
     let truth = sweep.truth.as_ref().map(|(header, _)| header);
     let pose = boxes.into_iter().chain(truth).find_map(|header| header.pose.as_ref());
@@ -420,7 +432,7 @@ fn place_of(object: &Box3) -> [i32; 7] {
 }
 
 impl ScenePart {
-    fn new(log: &str, ego: &str, start: Nanos, protocol: &Protocol) -> Self {
+    pub fn new(log: &str, ego: &str, start: Nanos, protocol: &Protocol) -> Self {
         let [x, y] = [protocol.region.x, protocol.region.y];
         ScenePart {
             log: log.into(),
@@ -465,7 +477,7 @@ impl ScenePart {
     }
 
     /// The place of an agent, ego first.
-    fn agent(&mut self, name: &str, log: Option<&Log>) -> usize {
+    pub fn agent(&mut self, name: &str, log: Option<&Log>) -> usize {
         if self.agents.is_empty() && name != self.ego {
             let ego = self.ego.clone();
             self.agent(&ego, log);
@@ -483,7 +495,11 @@ impl ScenePart {
     }
 
     #[allow(clippy::too_many_arguments, reason = "what a row is made of")]
-    fn add_sweep(
+    /// Adds a sweep of a run.
+    ///
+    /// # Errors
+    /// Truth and boxes that cannot be compared.
+    pub fn add_sweep(
         &mut self,
         seq: u64,
         sweep: &Sweep,
@@ -562,7 +578,6 @@ impl ScenePart {
     /// What became of each message, and what was fused for each sweep. Returns how many messages there are with those that
     /// are not kept.
     fn add_fates(&mut self, recorded: &Recorded, run: &mut SceneRun) -> usize {
-        let kind_of = |kind: Kind| Kind::ALL.iter().position(|known| *known == kind).unwrap_or(0) as i64;
         // A message's fate is the first that fits; a use says for which sweep.
         let mut ends: BTreeMap<(usize, i64, u64), (Fate, Option<u64>)> = BTreeMap::new();
         for fated in recorded
@@ -571,13 +586,13 @@ impl ScenePart {
             .filter(|fated| fated.message.kind != Kind::AgentState)
         {
             let agent = self.agent(&fated.message.from, None);
-            let (kind, seq) = (kind_of(fated.message.kind), fated.message.seq);
+            let (kind, seq) = (number_of_kind(fated.message.kind), fated.message.seq);
             let end = ends.entry((agent, kind, seq)).or_insert((fated.fate, None));
             end.0 = end.0.min(fated.fate);
             let Some(used) = fated.r#use else { continue };
             end.1 = end.1.or(Some(used.query));
             if let Some(frame) = run.frames.get_mut(&used.query) {
-                let row = [agent as i64, kind, used.age_ns / (MILLI / 10), seq as i64];
+                let row = used_row(agent, fated, used.age_ns);
                 if !frame.used.contains(&row) {
                     frame.used.push(row);
                 }
@@ -615,6 +630,17 @@ impl ScenePart {
         }
         ends.len()
     }
+}
+
+/// The place of a kind among the words of a page.
+fn number_of_kind(kind: Kind) -> i64 {
+    Kind::ALL.iter().position(|known| *known == kind).unwrap_or(0) as i64
+}
+
+/// A message that was fused, as [`RunFrame::used`] has it. `agent`: the place of its sender.
+pub fn used_row(agent: usize, fated: &Fated, age: Nanos) -> [i64; 4] {
+    let kind = number_of_kind(fated.message.kind);
+    [agent as i64, kind, age / (MILLI / 10), fated.message.seq as i64]
 }
 
 /// Whether the thing at a place stays, where so many of all stay, evenly spread.

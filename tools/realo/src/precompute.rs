@@ -176,6 +176,7 @@ pub(crate) fn lane_args(graph: &Path, log: &Path, ego: &str, agents: &[String], 
         choices: choices.clone(),
         out: None,
         resume: false,
+        view: Default::default(),
         show: Show::default(),
     }
 }

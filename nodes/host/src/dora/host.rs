@@ -5,7 +5,7 @@ mod shared;
 use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::AtomicI64;
 use std::sync::{Arc, Condvar, Mutex};
-use std::time::Instant;
+use std::time::{Duration, Instant};
 
 use dora_node_api::DoraNode;
 use dora_node_api::dora_core::config::DataId;
@@ -14,6 +14,7 @@ use realo_operator::{Built, InputBooks, Outputs, PortId, Registration, Waker};
 use realo_schemas::{Message, Nanos, wire};
 
 use crate::Stages;
+use crate::tap::tap_of_this_process;
 use crate::time::wall_now;
 
 use super::edges::Edge;
@@ -31,6 +32,8 @@ const HELLO: Nanos = 40_000_000;
 const FATES: Nanos = 500_000_000;
 /// What lies in dora's queues or in shared memory is lost when its sender leaves: so long after its last message it stays, ns.
 const LINGER: Nanos = 1_000_000_000;
+/// So long a process that ends waits for who watches the run.
+const TO_SEE: Duration = Duration::from_millis(200);
 /// Marks of a process that are remembered, to know those that come on a second way.
 const REMEMBERED: usize = 64;
 
@@ -53,12 +56,14 @@ pub(super) fn run(joined: Joined) -> Result<(), HostError> {
     let Joined {
         id,
         node,
-        stages,
+        mut stages,
         built,
         froms,
         returning,
         inbox,
     } = joined;
+    let tap = tap_of_this_process();
+    let tapped = tap.as_ref().map(|tap| stages.let_see(tap)).unwrap_or_default();
     let edges = froms.iter().map(|(name, from)| {
         let inputs = stages.entries.get(name).cloned().unwrap_or_default();
         Edge::new(name, from, inputs)
@@ -85,6 +90,8 @@ pub(super) fn run(joined: Joined) -> Result<(), HostError> {
         last_sent: AtomicI64::new(0),
         exits,
         wake: inbox.wake(),
+        tap,
+        tapped,
     });
     open_gateways(&shared)?;
     start_threads(&shared);
@@ -104,6 +111,9 @@ pub(super) fn run(joined: Joined) -> Result<(), HostError> {
     state.over = true;
     shared.work.notify_all();
     drop(state);
+    if let Some(tap) = &shared.tap {
+        tap.flush(TO_SEE);
+    }
     if ended.is_ok() {
         shared.leave();
     }
@@ -405,6 +415,9 @@ impl Host {
             fates,
         };
         self.number += 1;
+        if let Some(tap) = &shared.tap {
+            tap.see_fates(&mark.fates);
+        }
         let clock = state.engine.clock();
         let open = shared.exits.keys().filter(|exit| !self.ended.contains(exit));
         let exits: Vec<_> = open

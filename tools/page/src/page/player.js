@@ -214,14 +214,19 @@ function cloudNear(log, agent, t) {
   return best && Math.abs(best.t - t) <= 120 ? best : null;
 }
 
+/** The steps of a sweep that the page holds as text. */
+function stepsOf([first, letters]) {
+  const text = atob(CLOUD_TEXT.substr(first, letters));
+  const bytes = new Uint8Array(text.length);
+  for (let at = 0; at < text.length; at++) bytes[at] = text.charCodeAt(at);
+  return new DataView(bytes.buffer);
+}
+
 /** x, y, z, x, y, z … in the map, m. */
 function pointsOf(part) {
   if (decoded.has(part)) return decoded.get(part);
-  const text = atob(CLOUD_TEXT.substr(part.text[0], part.text[1]));
-  const bytes = new Uint8Array(text.length);
-  for (let at = 0; at < text.length; at++) bytes[at] = text.charCodeAt(at);
-  const steps = new DataView(bytes.buffer);
-  const points = new Float32Array(bytes.length / 2);
+  const steps = part.steps || stepsOf(part.text);
+  const points = new Float32Array(steps.byteLength / 2);
   for (let at = 0; at < points.length; at++) points[at] = part.from[at % 3] / 100 + steps.getInt16(2 * at, true) * 0.02;
   decoded.set(part, points);
   if (decoded.size > 64) decoded.delete(decoded.keys().next().value);
@@ -819,7 +824,11 @@ function restartClock() {
   clock = { from: performance.now(), at: scene().frames[seqNow()].t };
 }
 
+/** Hears that somebody plays, stops or goes elsewhere. */
+let placeChosen = () => {};
+
 function play(on) {
+  placeChosen(on);
   if (on === state.playing) return;
   state.playing = on;
   transport.play.textContent = on ? "❚❚" : "▶";
@@ -852,6 +861,7 @@ function draw() {
   const seq = seqNow(), frame = scene().frames[seq];
   if (transport.drawn === `${state.scene}.${seq}` && state.playing) return;
   transport.drawn = `${state.scene}.${seq}`;
+  transport.slider.max = timeline().length - 1;
   transport.slider.value = state.at;
   transport.time.textContent = `${(frame.t / 1000).toFixed(2)} s · sweep ${seq}${frame.key ? "" : ", not scored"}`;
   moveCursor();

@@ -10,6 +10,7 @@ use realo_results::Run;
 
 use super::folders::Folders;
 use super::prepare::RunPlan;
+use super::view::View;
 use super::{Mode, realtime, replay, resume};
 
 /// Names that a note has at most.
@@ -147,19 +148,19 @@ impl Batch {
     }
 
     /// Has the runs run that are not there yet, and reads what all came to. One that fails does not keep the others from
-    /// running.
+    /// running. `view` shows them.
     ///
     /// # Errors
     /// If every run failed: [`Unfinished`] where a signal ended one of them, and [`Batch::reasons`] has the others; results that
     /// cannot be read.
-    pub fn run(&mut self, mode: Mode, rate: f64) -> Result<Vec<Run>> {
+    pub fn run(&mut self, mode: Mode, rate: f64, view: Option<&View>) -> Result<Vec<Run>> {
         let open: Vec<usize> = (0..self.plans.len())
             .filter(|number| !self.taken.contains(number))
             .collect();
         let plans: Vec<&RunPlan> = open.iter().map(|number| &self.plans[*number]).collect();
         let ended: Vec<Result<()>> = match mode {
-            Mode::Virtual => replay::all(&plans)?,
-            Mode::Realtime => plans.iter().map(|plan| realtime::run(plan, rate)).collect(),
+            Mode::Virtual => replay::all(&plans, view)?,
+            Mode::Realtime => plans.iter().map(|plan| realtime::run(plan, rate, view)).collect(),
         };
         let mut failed = BTreeSet::new();
         let mut unfinished = None;

@@ -22,6 +22,7 @@ mod replace;
 mod replay;
 mod resume;
 mod tether;
+mod view;
 
 use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
@@ -40,6 +41,7 @@ use crate::tables::{self, Show};
 use crate::{Outcome, registry, roles};
 use batch::{Batch, Unfinished};
 use folders::Folders;
+use view::View;
 
 pub use dora::find as find_dora;
 pub(crate) use dora::on_this_machine as dora_on_this_machine;
@@ -57,6 +59,7 @@ pub use replay::replay;
 pub(crate) use replay::{one, outline};
 pub(crate) use resume::log_content;
 pub use tether::{TetheredArgs, tethered};
+pub use view::ViewArgs;
 
 /// Runs graphs over logs and prints what came out, side by side
 #[derive(clap::Args, Clone)]
@@ -100,6 +103,9 @@ pub struct Args {
     /// Go on with a batch that ended early: complete runs of the same graph, settings, model and log are taken as they are
     #[arg(long)]
     pub resume: bool,
+    #[allow(missing_docs, reason = "clap would print it")]
+    #[command(flatten)]
+    pub view: ViewArgs,
     #[allow(missing_docs, reason = "clap would print it")]
     #[command(flatten)]
     pub show: Show,
@@ -320,11 +326,15 @@ pub fn main(args: &Args) -> Result<Outcome> {
     let mode = args.driver()?;
     machine::threads_of_virtual()?;
     choices::settle_all(&mut args.choices);
+    let view = args.view.start()?;
     let mut failures = Failures::of(args.graphs.len());
     let is_there = find_graphs(&mut args.graphs, &mut failures)?;
     let args = &args;
     let names = names(&args.graphs)?;
     let mut planned = plan(args, mode, &names, &is_there, &mut failures)?;
+    if let Some(view) = &view {
+        view.check(planned.iter().flat_map(|planned| planned.batch.plans()))?;
+    }
     signals::begin();
     let mut folders = Folders::default();
     for Planned { name, batch, .. } in &mut planned {
@@ -334,13 +344,18 @@ pub fn main(args: &Args) -> Result<Outcome> {
         }
         batch.claim(&mut folders, args.resume)?;
     }
-    let runs = play(args, mode, &mut planned, &mut failures)?;
+    let runs = play(args, mode, &mut planned, &mut failures, view.as_ref())?;
     // What did not come to its end has the files of the run before again.
     if runs.len() == names.len() {
         folders.keep_new();
     }
+    drop(folders);
     show(args, &runs);
-    Ok(conclude(&planned, &runs, &failures))
+    let outcome = conclude(&planned, &runs, &failures);
+    if let Some(view) = view.filter(|_| !runs.is_empty()) {
+        view.stay(&args.view);
+    }
+    Ok(outcome)
 }
 
 /// Puts the files of graphs in the place of their names; says which are there. One that is not keeps its place, so that
@@ -415,6 +430,7 @@ fn play<'a>(
     mode: Mode,
     planned: &mut [Planned<'a>],
     failures: &mut Failures,
+    view: Option<&View>,
 ) -> Result<Vec<(&'a str, Run)>> {
     let mut runs = Vec::new();
     for Planned { name, batch, skipped } in planned {
@@ -425,7 +441,7 @@ fn play<'a>(
                 .iter()
                 .for_each(|line| eprintln!("realo: {line}"));
         }
-        let done = match (batch.run(mode, args.rate.unwrap_or(1.0)), signals::first()) {
+        let done = match (batch.run(mode, args.rate.unwrap_or(1.0), view), signals::first()) {
             (Err(reason), Some(ending)) => {
                 eprintln!("realo: {}", ended_early(ending, mode, &reason));
                 break;

@@ -114,6 +114,7 @@ pub fn pace(graph: &Path, log: &Path, ego: Option<&str>, choices: &Choices) -> R
         choices: choices.clone(),
         out: Some(folder.0.clone()),
         resume: false,
+        view: Default::default(),
         show: Show::default(),
     };
     let batch = prepare::batch(&args, Mode::Virtual, graph, &prepare::stem(graph))?;

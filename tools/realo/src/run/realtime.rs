@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 use eyre::{Report, Result, WrapErr, bail};
 use realo_cli::Progress;
 use realo_cli::signals::{self, Ending};
+use realo_host::TAP_VARIABLE;
 use realo_host::dora::{FOLDER_VARIABLE, OVERLAY_VARIABLE, POOL_VARIABLE, Slow};
 use realo_operator::Durations;
 use realo_results::{Live, Run};
@@ -19,7 +20,8 @@ use super::batch::Unfinished;
 use super::nodes::{argument, deciding};
 use super::prepare::RunPlan;
 use super::tether::Tether;
-use super::{dora, machine, pace};
+use super::view::{Showing, View};
+use super::{Mode, dora, machine, pace};
 
 /// From a signal to the end of all processes at most; what is left then is killed.
 const TO_END: Duration = Duration::from_millis(2600);
@@ -33,11 +35,11 @@ const AGAIN: Duration = Duration::from_secs(30);
 /// A graph may take so long until all its nodes are ready.
 const TO_BEGIN: Duration = Duration::from_secs(60);
 
-/// Has dora run a plan and checks that the run is complete.
+/// Has dora run a plan and checks that the run is complete. `view` shows it.
 ///
 /// # Errors
 /// Which node failed, or what is missing; dora's own words are in `dora.log`.
-pub fn run(plan: &RunPlan, rate: f64) -> Result<()> {
+pub fn run(plan: &RunPlan, rate: f64, view: Option<&View>) -> Result<()> {
     if signals::first().is_some() {
         return Err(Unfinished::of(&plan.name).into());
     }
@@ -49,6 +51,9 @@ pub fn run(plan: &RunPlan, rate: f64) -> Result<()> {
     let log_path = plan.out.join("dora.log");
     let log = File::create(&log_path).wrap_err_with(|| format!("{}", log_path.display()))?;
     let output = log.try_clone()?;
+    let scene = view.map(|view| view.scene(plan, Mode::Realtime)).transpose()?;
+    let showing = scene.map(|scene| scene.show_processes(rate)).transpose()?;
+    let told = showing.as_ref().map(Showing::told).transpose()?.flatten();
     let (tether, child) = Tether::start(&dora, |command| {
         command
             .arg("run")
@@ -61,8 +66,12 @@ pub fn run(plan: &RunPlan, rate: f64) -> Result<()> {
         if let Some(pool) = memory.pool() {
             command.env(POOL_VARIABLE, pool.to_string());
         }
+        if let Some(told) = told {
+            command.env(TAP_VARIABLE, told);
+        }
     })?;
     let ended = watch(tether, child, plan, rate, &log_path)?;
+    drop(showing);
     // What was killed could not do it.
     machine::free_orphans();
     match signals::first() {

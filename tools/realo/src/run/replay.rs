@@ -9,13 +9,15 @@ use eyre::{Report, Result, WrapErr, eyre};
 use rayon::prelude::*;
 use realo_cli::{Progress, signals};
 use realo_graph::FlatGraph;
-use realo_host::{ComputeProfile, Outline, Shared, Stages, virtual_time};
+use realo_host::{ComputeProfile, Outline, Shared, Stages, Tap, virtual_time};
 use realo_operator::Books;
 use realo_results::Live;
 use realo_schemas::{Nanos, to_seconds};
 
+use super::Mode;
 use super::batch::Unfinished;
 use super::prepare::RunPlan;
+use super::view::{Scene, Showing, View};
 use crate::registry;
 
 /// After a signal, runs have so long to come to their next event. A run inside a call is not waited for then, and ends with
@@ -38,15 +40,16 @@ enum Said {
     Ended(usize, Result<()>),
 }
 
-/// Runs all plans, several at a time; they do not know of each other. Gives how each ended.
+/// Runs all plans, several at a time; they do not know of each other. Gives how each ended. `view` shows one at a time.
 ///
 /// # Errors
 /// A system without threads.
-pub fn all(plans: &[&RunPlan]) -> Result<Vec<Result<()>>> {
+pub fn all(plans: &[&RunPlan], view: Option<&View>) -> Result<Vec<Result<()>>> {
     let seconds = plans.iter().map(|plan| plan.seconds).sum();
     let progress = Progress::new(format!("replaying {}", named(plans)), "s of logs", Some(seconds));
     let (sender, said) = channel();
-    let replays: Vec<Replay> = plans.iter().map(|plan| Replay::of(plan)).collect();
+    let replays: Result<Vec<Replay>> = plans.iter().map(|plan| Replay::of(plan, view)).collect();
+    let replays = replays?;
     // Threads of their own: who waits here can leave a call that takes long.
     let playing = std::thread::Builder::new().spawn(move || {
         replays
@@ -150,7 +153,8 @@ pub fn one(plan: &RunPlan, shared: Option<(&Shared, &Outline)>) -> Result<()> {
     let play = || -> Result<()> {
         realo_results::claim(&plan.out)?;
         plan.write_settings()?;
-        watched(&plan.graph, &plan.compute, None, shared, |_| {}).map(drop)
+        let eyes = shared.map_or(Eyes::None, |(shared, outline)| Eyes::Shared(shared, outline));
+        watched(&plan.graph, &plan.compute, eyes, |_| {}).map(drop)
     };
     let ended = catch_unwind(AssertUnwindSafe(play)).unwrap_or_else(|_| Err(panicked(&plan.name)));
     if ended.is_err() {
@@ -191,16 +195,18 @@ struct Replay {
     graph: FlatGraph,
     compute: ComputeProfile,
     seconds: f64,
+    scene: Option<Scene>,
 }
 
 impl Replay {
-    fn of(plan: &RunPlan) -> Self {
-        Replay {
+    fn of(plan: &RunPlan, view: Option<&View>) -> Result<Self> {
+        Ok(Replay {
             name: plan.name.clone(),
             graph: plan.graph.clone(),
             compute: plan.compute.clone(),
             seconds: plan.seconds,
-        }
+            scene: view.map(|view| view.scene(plan, Mode::Virtual)).transpose()?,
+        })
     }
 
     fn run(self, number: usize, said: &Sender<Said>) -> Result<()> {
@@ -211,7 +217,12 @@ impl Replay {
         // After a signal nobody may listen any more.
         let _ = said.send(Said::Begun(number));
         let mut far = Far::new(number, self.seconds, said);
-        let ended = watched(&self.graph, &self.compute, None, None, |progress| match progress {
+        let showing = self.scene.map(Scene::show).transpose()?.flatten();
+        let eyes = match showing.as_ref().and_then(Showing::tap) {
+            Some(tap) => Eyes::Tap(tap),
+            None => Eyes::None,
+        };
+        let ended = watched(&self.graph, &self.compute, eyes, |progress| match progress {
             virtual_time::Progress::At(now) => far.is(now),
             virtual_time::Progress::Concludes => {
                 // After a signal nobody may listen any more.
@@ -275,14 +286,21 @@ impl<'a> Far<'a> {
 /// # Errors
 /// A graph that virtual time cannot run; the node that failed.
 pub fn replay(graph: &FlatGraph, compute: &ComputeProfile, observer: Option<virtual_time::Observer>) -> Result<Books> {
-    watched(graph, compute, observer, None, |_| {})
+    watched(graph, compute, observer.map_or(Eyes::None, Eyes::Observer), |_| {})
+}
+
+/// Who looks at a run, or shares its calls.
+enum Eyes<'a> {
+    None,
+    Observer(virtual_time::Observer<'a>),
+    Tap(&'a Tap),
+    Shared(&'a Shared, &'a Outline),
 }
 
 fn watched(
     graph: &FlatGraph,
     compute: &ComputeProfile,
-    observer: Option<virtual_time::Observer>,
-    shared: Option<(&Shared, &Outline)>,
+    eyes: Eyes,
     watch: impl FnMut(virtual_time::Progress),
 ) -> Result<Books> {
     let stages = Stages::of(graph, &registry()).map_err(|error| eyre!(error))?;
@@ -294,8 +312,10 @@ fn watched(
             known.join(", ")
         ));
     }
-    Ok(match shared {
-        Some(shared) => virtual_time::run_shared(&stages, compute, shared, watch)?,
-        None => virtual_time::run_watched(&stages, compute, observer, watch)?,
+    Ok(match eyes {
+        Eyes::None => virtual_time::run_watched(&stages, compute, None, watch)?,
+        Eyes::Observer(observer) => virtual_time::run_watched(&stages, compute, Some(observer), watch)?,
+        Eyes::Tap(tap) => virtual_time::run_tapped(&stages, compute, tap, watch)?,
+        Eyes::Shared(shared, outline) => virtual_time::run_shared(&stages, compute, (shared, outline), watch)?,
     })
 }

@@ -82,6 +82,7 @@ impl Args {
             choices: self.choices.clone(),
             out: None,
             resume: false,
+            view: Default::default(),
             show: Default::default(),
         }
     }

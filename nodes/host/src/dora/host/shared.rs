@@ -1,6 +1,6 @@
 //! What threads of a host share.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::sync::{Condvar, Mutex, MutexGuard};
 use std::time::Duration;
@@ -12,6 +12,7 @@ use realo_operator::{Built, PortId};
 use realo_schemas::{Message, Nanos, wire};
 
 use super::LINGER;
+use crate::Tap;
 use crate::dora::HostError;
 use crate::dora::inbox::WakeHandle;
 use crate::dora::load::Load;
@@ -30,6 +31,9 @@ pub(crate) struct Shared {
     pub(super) last_sent: AtomicI64,
     pub(super) exits: BTreeMap<(usize, PortId), Vec<DataId>>,
     pub(super) wake: WakeHandle,
+    /// Who watches the run, and the outputs that are seen.
+    pub(super) tap: Option<Tap>,
+    pub(super) tapped: BTreeSet<(usize, PortId)>,
 }
 
 pub(crate) struct State {
@@ -88,9 +92,12 @@ impl Shared {
 
     /// Sends what leaves the process.
     pub fn send_all(&self, leaving: Vec<Leaving>) -> Result<(), HostError> {
-        leaving
-            .into_iter()
-            .try_for_each(|Leaving { stage, port, message }| self.send((stage, port), &message))
+        leaving.into_iter().try_for_each(|Leaving { stage, port, message }| {
+            if let Some(tap) = self.tap.as_ref().filter(|_| self.tapped.contains(&(stage, port))) {
+                tap.see(&message);
+            }
+            self.send((stage, port), &message)
+        })
     }
 
     /// Sends a mark on every output.
