@@ -129,7 +129,13 @@ mod tests {
         let group = |process: &str| groups.get(process).map(String::as_str);
         assert_eq!(
             ["player", "others", "score", "ego", "fusion"].map(group),
-            [Some("scene"), Some("scene"), Some("scene"), Some("perception"), Some("perception")]
+            [
+                Some("scene"),
+                Some("scene"),
+                Some("scene"),
+                Some("perception"),
+                Some("perception")
+            ]
         );
         assert_eq!(group("ego.nms"), None, "a stage is no process");
     }
