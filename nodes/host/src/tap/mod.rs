@@ -31,7 +31,7 @@ const LOWER: i32 = 10;
 #[derive(Clone, Debug, PartialEq)]
 pub enum Seen {
     /// A message of an output that was asked for; of a sweep so many points that they can be drawn.
-    Message(Message),
+    Message(Box<Message>),
     /// What became of messages that crossed links.
     Fates(Vec<Fated>),
 }
@@ -110,7 +110,7 @@ impl Tap {
     pub fn see(&self, message: &Message) {
         let mut waiting = self.0.lock();
         if !waiting.closed && waiting.gate.lets_through(message, Instant::now()) {
-            waiting.put(Seen::Message(message.clone()));
+            waiting.put(Seen::Message(Box::new(message.clone())));
             self.0.changed.notify_all();
         }
     }
@@ -169,7 +169,7 @@ impl Shared {
     fn give_all(&self, give: &mut dyn FnMut(Seen) -> bool) {
         while let Some(seen) = self.take() {
             let wants_more = give(match seen {
-                Seen::Message(message) => Seen::Message(thin::thinned(message)),
+                Seen::Message(message) => Seen::Message(Box::new(thin::thinned(*message))),
                 other => other,
             });
             if !wants_more {
@@ -224,7 +224,7 @@ mod tests {
         let boxes = message(Kind::Boxes, 7, Boxes::default());
         tap.see(&boxes);
         tap.flush(Duration::from_secs(60));
-        assert_eq!(given.recv().unwrap(), Seen::Message(boxes.clone()));
+        assert_eq!(given.recv().unwrap(), Seen::Message(Box::new(boxes.clone())));
         tap.see(&boxes);
         tap.see_fates(&[]);
         assert!(given.recv().is_err(), "it wanted no more");

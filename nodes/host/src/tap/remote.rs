@@ -161,7 +161,9 @@ fn decoded(kind: u8, bytes: &[u8]) -> io::Result<Seen> {
     let mut reader = StreamReader::try_new(bytes, None).map_err(io::Error::other)?;
     let batch = reader.next().ok_or(io::ErrorKind::UnexpectedEof)?;
     let row = StructArray::from(batch.map_err(io::Error::other)?);
-    wire::from_arrow(&row).map(Seen::Message).map_err(io::Error::other)
+    wire::from_arrow(&row)
+        .map(|message| Seen::Message(Box::new(message)))
+        .map_err(io::Error::other)
 }
 
 fn encoded(seen: &Seen) -> io::Result<(u8, Vec<u8>)> {
@@ -226,7 +228,7 @@ mod tests {
             r#use: Some(Use { query: 3, age_ns: 5 }),
         };
         [
-            Seen::Message(Message::new(header, Boxes::default())),
+            Seen::Message(Box::new(Message::new(header, Boxes::default()))),
             Seen::Fates(vec![fated]),
         ]
     }

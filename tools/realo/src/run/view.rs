@@ -111,7 +111,7 @@ impl View {
         Ok(Scene {
             view: self.clone(),
             outputs: outputs.all,
-            live: Arc::new(Mutex::new(Live::new(watched, Log::open(&plan.log_path()).ok()))),
+            live: Arc::new(Mutex::new(Live::new(watched, Log::open(plan.log_path()).ok()))),
         })
     }
 
@@ -219,7 +219,7 @@ impl Drop for Showing {
 fn draw(live: &Mutex<Live>, server: &Server, seen: Seen) {
     let mut live = live.lock().unwrap_or_else(PoisonError::into_inner);
     match seen {
-        Seen::Message(message) => match live.see(message) {
+        Seen::Message(message) => match live.see(*message) {
             Ok(pictures) => pictures.into_iter().for_each(|picture| server.picture(picture)),
             Err(error) => eprintln!("realo: --view: a sweep cannot be drawn: {error}"),
         },
