@@ -3,8 +3,9 @@
     python3 -m pip install ray
     python3 sweep.py --shards 16 --isa avx2 late_fusion --log a.mcap --vary link.delay_ms=0,50,100,200 -o out/delay
 
-Everything but `--shards` and `-o` is for `realo sweep`. Each machine needs `realo` (REALO_BIN, else PATH), the graphs and the logs at the
-same absolute paths, or a folder that all machines share. `--isa` makes machines with other instructions compute the same digits.
+Start it on a machine of the cluster, or set RAY_ADDRESS; elsewhere Ray starts a cluster of this machine alone. Everything but `--shards` and
+`-o` is for `realo sweep`. Each machine needs `realo` (REALO_BIN, else PATH), and the current folder, the graphs and the logs at the same
+absolute paths, as in a folder that all share. A part that fails ends the sweep. `--isa` makes machines with other instructions compute the same digits.
 """
 
 import argparse

@@ -114,8 +114,8 @@ def main():
     print(f"shapely, pair by pair (field's way)  {slow_seconds:8.3f} s   {slow_seconds / seconds:6.0f} times as long")
     print(f"shapely, arrays                      {fast_seconds:8.3f} s   {fast_seconds / seconds:6.0f} times as long")
     print(f"largest difference of an AP: {apart:.2g}")
-    if apart > 1e-3 or slow_seconds < ASKED * seconds:
-        sys.exit(f"expected the same AP within 0.001, and {ASKED} times the speed of the field's way")
+    if apart > 1e-9 or slow_seconds < ASKED * seconds:
+        sys.exit(f"expected the same AP within 1e-9, and {ASKED} times the speed of the field's way")
 
 
 if __name__ == "__main__":

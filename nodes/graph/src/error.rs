@@ -118,7 +118,7 @@ pub enum GraphError {
     Setting(String),
     /// A replacement that is not of the form `STAGE=program PATH key=value`.
     #[error(
-        "replacement `{0}`: expected `STAGE=program PATH key=value …` or `STAGE=operator NAME key=value …`, or the same for STAGE.INPUT, found {1}"
+        "replacement `{0}`: expected `STAGE=program PATH key=value …` or `STAGE=operator NAME key=value …`, found {1}; STAGE may be STAGE.INPUT, to put a new stage before an input"
     )]
     Replacement(String, String),
     /// `--recorded-detections` for a graph that does not detect.

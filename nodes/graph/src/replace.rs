@@ -92,7 +92,7 @@ impl FlatGraph {
         is_wired.then(|| (taker.into(), port.into()))
     }
 
-    /// That there is no stage and no input of one by this name.
+    /// The error for a place that names neither a stage nor an input.
     fn unknown_place(&self, place: &str) -> GraphError {
         let parts = place.rsplit_once('.');
         let Some((taker, input)) = parts.and_then(|(taker, input)| Some((self.node(taker)?, input))) else {
@@ -108,7 +108,7 @@ impl FlatGraph {
         }
     }
 
-    /// Puts a new stage before an input; gives its id.
+    /// Puts a new stage before an input. Returns its id.
     fn put_before(&mut self, taker: &str, port: &str, replacement: &Replacement) -> Result<String, GraphError> {
         let wrong = |reason: String| GraphError::Node {
             file: self.file.clone(),
@@ -234,7 +234,7 @@ fn retell(process: &mut FlatNode, first: &str, last: &str, words: &[String]) {
         let key = word
             .strip_prefix(&format!("{name}."))
             .and_then(|rest| rest.split_once('='));
-        key.is_some_and(|(key, _)| !key.contains('.'))
+        key.is_some_and(|(key, _)| !key.contains('.') && ![BEFORE, TAKES].contains(&key))
     };
     process.args.retain(|word| !is_of_stage(word));
     tell(process, &name, words);
@@ -335,6 +335,16 @@ mod tests {
             );
             let sender = &graph.node("others.sender").unwrap().inputs["messages"];
             assert_eq!(sender.output(), Some(("others.liar", "said")));
+        }
+        graph
+            .replace(&"others.liar=operator liar agents=rsu1".parse().unwrap())
+            .unwrap();
+        for graph in [&graph, &again(&graph)] {
+            assert_eq!(
+                graph.node("others.liar").unwrap().args,
+                ["operator", "liar", "agents=rsu1"],
+                "it gave way"
+            );
         }
         let of_own = shipped("late_fusion").apart();
         let mut graph = of_own.clone();

@@ -100,7 +100,7 @@ const CLEAR: [f64; 2] = [0.0, 0.6];
 pub struct Said<'a> {
     /// Its boxes, in its frame.
     pub boxes: &'a [Box3],
-    /// Boxes that its map shows and that no object on it can have.
+    /// Boxes of impossible size or place that were found in its map.
     pub impossible: usize,
 }
 

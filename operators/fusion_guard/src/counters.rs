@@ -24,8 +24,8 @@ pub(crate) const UNCHECKED_MESSAGES: Counter = Counter::plain(
 );
 pub(crate) const CONTRADICTED_MESSAGES: Counter = Counter::loss(
     "contradicted_messages",
-    "messages left out: more of what they say lies where the ego sees that nothing stands than the ego can confirm",
-    "messages were left out by {node}, because what they say lies where the ego sees that nothing stands",
+    "messages left out: more of what they say lies where the ego sees that nothing stands, or cannot be, than the ego can confirm",
+    "messages were left out by {node}, because what they say lies where the ego sees that nothing stands, or cannot be",
     "look at the agent's pose, clock and detections; `--set {node}.enabled=false` fuses them all the same",
 );
 pub(crate) const UNCONFIRMED_MESSAGES: Counter = Counter::loss(

@@ -7,7 +7,7 @@ use realo_schemas::{Box3, Boxes, Header, Message, Name, Nanos, Payload, Pose, fr
 
 use crate::boxes::{Ego, Judgement, Limits, Origin, Said, judge};
 use crate::constellation::lay_over;
-use crate::map_boxes::{Shown, without_cells_of};
+use crate::map_boxes::{MapContent, without_cells_of};
 use crate::objects::{Object, objects};
 use crate::overlay::judge_points;
 use crate::record::Record;
@@ -19,7 +19,7 @@ use crate::verdict::Reason;
 pub(crate) struct Entry {
     message: Message,
     /// What its map shows, where that was looked for.
-    shown: Option<Shown>,
+    shown: Option<MapContent>,
     origin: Option<Origin>,
     had_no_pose: bool,
     had_wrong_covariance: bool,
@@ -39,7 +39,7 @@ impl Entry {
     pub fn of(
         ego: &Header,
         mut message: Message,
-        shown: Option<Shown>,
+        shown: Option<MapContent>,
         known: &[Object],
         limits: &Limits,
         constellations: bool,
@@ -105,7 +105,7 @@ impl Entry {
 }
 
 /// The boxes of a message, or of its map.
-fn boxes<'a>(payload: &'a Payload, shown: Option<&'a Shown>) -> Option<&'a [Box3]> {
+fn boxes<'a>(payload: &'a Payload, shown: Option<&'a MapContent>) -> Option<&'a [Box3]> {
     match payload {
         Payload::Boxes(Boxes(said)) => Some(said),
         Payload::FeatureMap(_) => Some(&shown?.boxes),

@@ -3,7 +3,7 @@
 use std::path::Path;
 
 use nalgebra::Vector2;
-use realo_bev::{Computing, Decoder, Engine, Maps};
+use realo_bev::{Computing, Decoded, Decoder, Engine, Maps};
 use realo_nn::anchors::Anchors;
 use realo_nn::layers::Layers;
 use realo_operator::{Error, Steps};
@@ -12,17 +12,17 @@ use realo_schemas::{Box3, Elements, FeatureMap};
 
 /// A box is a duplicate if it overlaps more than this with a better one.
 const DUPLICATE: f64 = 0.15;
-/// A box of a map lies on it, or not farther beside it, m.
-const BESIDE_M: f64 = 10.0;
+/// How far outside its map the centre of a found box may be, m.
+const MAX_OUTSIDE_M: f64 = 10.0;
 /// Features of a box lie in cells around it, too, m.
 const AROUND_M: f64 = 0.8;
 
-/// What a map shows.
+/// What the heads of the model find in a map.
 #[derive(Debug)]
-pub(crate) struct Shown {
+pub(crate) struct MapContent {
     /// Boxes in it, best first.
     pub boxes: Vec<Box3>,
-    /// Boxes that no object in it can have: with such numbers, or beside the map. Of what an encoder makes there are none; of noise most are.
+    /// Found boxes of impossible size, or farther outside the map than [`MAX_OUTSIDE_M`]. An encoder's map has none; noise has many.
     pub impossible: usize,
 }
 
@@ -63,7 +63,7 @@ impl MapDetector {
     ///
     /// # Errors
     /// Those of the device.
-    pub fn boxes(&mut self, map: &FeatureMap, steps: &mut Steps) -> Result<Option<Shown>, Error> {
+    pub fn boxes(&mut self, map: &FeatureMap, steps: &mut Steps) -> Result<Option<MapContent>, Error> {
         let read = self.maps.read(map).ok();
         let Some(map) = read.filter(|map| self.sizes.contains(&map.size()) && map.is_sound()) else {
             return Ok(None);
@@ -71,19 +71,21 @@ impl MapDetector {
         let [rows, columns, _] = map.size();
         let area = Area::of(&self.maps, rows, columns);
         let heads = self.engine.heads_alone(map.view(), steps)?;
-        let found = self.decoder.decode(&heads.scores, &heads.deltas).boxes;
+        let Decoded {
+            boxes: found, invalid, ..
+        } = self.decoder.decode(&heads.scores, &heads.deltas);
         let mut kept: Vec<(Footprint, Box3)> = Vec::new();
         let all = found.len();
         let possible = |object: &Box3| detection_fault(object).is_none() && area.has(object);
         let sound: Vec<Box3> = found.into_iter().filter(possible).collect();
-        let impossible = all - sound.len();
+        let impossible = all - sound.len() + usize::try_from(invalid).unwrap_or(usize::MAX);
         for object in sound {
             let ground = Footprint::of(&object);
             if kept.len() < self.max_boxes && !kept.iter().any(|(better, _)| iou_exceeds(better, &ground, DUPLICATE)) {
                 kept.push((ground, object));
             }
         }
-        Ok(Some(Shown {
+        Ok(Some(MapContent {
             boxes: kept.into_iter().map(|(_, object)| object).collect(),
             impossible,
         }))
@@ -108,7 +110,7 @@ impl Area {
 
     fn has(&self, object: &Box3) -> bool {
         (0..2).all(|axis| {
-            let [min, max] = [self.min[axis] - BESIDE_M, self.max[axis] + BESIDE_M];
+            let [min, max] = [self.min[axis] - MAX_OUTSIDE_M, self.max[axis] + MAX_OUTSIDE_M];
             (min..=max).contains(&object.center[axis])
         })
     }

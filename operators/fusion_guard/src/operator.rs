@@ -11,7 +11,7 @@ use crate::boxes::Limits;
 use crate::counters::*;
 use crate::entry::{Entry, Guarded};
 use crate::fit::Noise;
-use crate::map_boxes::{MapDetector, Shown};
+use crate::map_boxes::{MapContent, MapDetector};
 use crate::record::Record;
 use crate::search::Reach;
 use crate::sight::Sight;
@@ -252,7 +252,7 @@ impl FusionGuard {
     }
 
     /// Returns what a BEV map shows; `None` if it is not a map, cannot be read, or there is no model.
-    fn shown(&mut self, payload: &Payload, out: &mut Outputs<Output>) -> Result<Option<Shown>, Error> {
+    fn shown(&mut self, payload: &Payload, out: &mut Outputs<Output>) -> Result<Option<MapContent>, Error> {
         match (payload, &mut self.map_detector) {
             (Payload::FeatureMap(map), Some(detector)) => detector.boxes(map, out.steps()),
             _ => Ok(None),
@@ -299,9 +299,14 @@ fn settle(one: Guarded, ego: &Header, out: &mut Outputs<Output>) -> Option<Messa
         if is_this {
             let [checked, free] = judgement.shares.checked;
             out.found(counter, &agent, || {
+                let seen = format!(
+                    "of {checked} boxes or cells that the ego sees the place of, {free} are where nothing stands"
+                );
                 match judgement.shares.impossible {
-                    0 => format!("the first: of {checked} boxes or cells that the ego sees the place of, {free} are where nothing stands"),
-                    impossible => format!("the first: {impossible} boxes of its map are none that an object on it can have"),
+                    0 => format!("the first: {seen}"),
+                    impossible => format!(
+                        "the first: {impossible} boxes found in its map are outside it or of impossible size; {seen}"
+                    ),
                 }
             });
         }

@@ -25,7 +25,7 @@ pub struct Shares {
     pub contradicted: f64,
     /// Boxes that the ego can check, and those of them where nothing stands.
     pub checked: [usize; 2],
-    /// Boxes that no object can have; each contradicts the ego as a sure one in free space does.
+    /// Boxes of impossible size or place; each counts as one sure box in free space.
     pub impossible: usize,
 }
 
@@ -33,6 +33,8 @@ pub struct Shares {
 const SOMETHING: f64 = 0.3;
 /// So many boxes of a message speak for its sender at most.
 const ENOUGH: f64 = 10.0;
+/// So many boxes of impossible size or place are one odd object, which several anchors find.
+const ODD: usize = 8;
 /// Less than this many sure boxes in free space are mistakes.
 const MISTAKES: f64 = 1.5;
 /// Trust below which an agent is left out, and from which it counts in full.
@@ -59,10 +61,10 @@ impl Shares {
         shares
     }
 
-    /// The same with boxes that no object can have.
+    /// The same with boxes of impossible size or place.
     pub fn with_impossible(self, boxes: usize) -> Self {
         Shares {
-            contradicted: self.contradicted + boxes as f64,
+            contradicted: self.contradicted + (boxes.saturating_sub(ODD) as f64).min(2.0 * ENOUGH),
             impossible: boxes,
             ..self
         }

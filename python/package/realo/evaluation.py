@@ -97,7 +97,12 @@ def _as_frames(argument: str, values: Any) -> dict[int, Any]:
         _check.refuse("evaluate", argument, "Boxes, or a list of Boxes, one a frame", type(values).__name__, advice)
     listed = list(values)
     if listed and all(isinstance(one, (Labels, Truth)) for one in listed):
-        return {one.seq: one for one in listed}
+        numbers = [one.seq for one in listed]
+        twice = next((number for number in numbers if numbers.count(number) > 1), None) if len(set(numbers)) < len(numbers) else None
+        if twice is not None:
+            advice = "score each log by itself, or give a dict by frame"
+            _check.refuse("evaluate", argument, "each frame once", f"frame {twice} more than once", advice)
+        return dict(zip(numbers, listed))
     return dict(enumerate(listed))
 
 

@@ -15,7 +15,7 @@ from .results import Run, read_run
 #: How `realo run` ends if all was done, and if what was reported is missing.
 COMPLETE, PARTIAL = 0, 3
 #: Options of `realo run` that have no place in virtual time, or that `run` gives itself.
-OWN = {"mode", "rate", "log", "out", "format", "json", "full"}
+OWN = {"mode", "rate", "log", "out", "format", "json", "full", "verbose", "view", "view_exit"}
 
 
 class RunError(RuntimeError):

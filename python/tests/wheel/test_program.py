@@ -76,7 +76,7 @@ class TestProgram(unittest.TestCase):
         self.assertEqual(caught.exception.code, 1)
         with self.assertRaises(realo.RunError):
             realo.run("late_fusion", self.log, no_such_option=1)
-        for settings in ({"mode": "realtime"}, {"rate": 2}):
+        for settings in ({"mode": "realtime"}, {"rate": 2}, {"view": True}):
             with self.assertRaisesRegex(ValueError, f"`{next(iter(settings))}`"):
                 realo.run("late_fusion", self.log, **settings)
         with self.assertRaisesRegex(ValueError, "`graph`"):

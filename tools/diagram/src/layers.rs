@@ -71,6 +71,8 @@ pub struct Arranged {
 
 /// How often the order in layers is improved, and then the places.
 const SWEEPS: usize = 16;
+/// Nodes of a graph whose links are shortened, at most.
+const MOST_SHORTENED: usize = 60;
 
 /// Arranges items; whole heights and gaps give whole places.
 pub fn arrange(items: &[Item], links: &[Link], gaps: &Gaps) -> Arranged {
@@ -225,7 +227,12 @@ impl<'a> Plan<'a> {
     }
 
     /// Takes every change of places that makes links shorter and has them cross no more often.
+    ///
+    /// Of very large graphs the places stay as they are: each change would cost as much as all links.
     fn shorten(&mut self) {
+        if self.nodes.len() > MOST_SHORTENED {
+            return;
+        }
         let mut cost = self.cost();
         for _ in 0..SWEEPS {
             for layer in 0..self.layers.len() {

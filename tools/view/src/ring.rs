@@ -36,8 +36,9 @@ pub struct Ring {
 
 #[derive(Default)]
 struct State {
-    /// What comes before everything else, and its number.
+    /// First message of the scene.
     opening: Option<Shown>,
+    /// Number of the scene.
     scene: u64,
     kept: VecDeque<Shown>,
     /// Number of the first that is kept.

@@ -89,12 +89,7 @@ impl Server {
 
     /// The address for a browser on this machine.
     pub fn url(&self) -> String {
-        let ip = match self.address.ip() {
-            IpAddr::V4(ip) if ip.is_unspecified() => IpAddr::V4(Ipv4Addr::LOCALHOST),
-            IpAddr::V6(ip) if ip.is_unspecified() => IpAddr::V6(Ipv6Addr::LOCALHOST),
-            ip => ip,
-        };
-        format!("http://{}/", SocketAddr::new(ip, self.address.port()))
+        format!("http://{}/", reachable(self.address))
     }
 
     /// Begins a new scene: what was shown before goes.
@@ -118,14 +113,18 @@ impl Drop for Server {
         self.shared.closed.store(true, Ordering::SeqCst);
         self.shared.ring.close();
         // Wakes the thread that listens.
-        let port = self.address.port();
-        let ip = match self.address.ip() {
-            ip if !ip.is_unspecified() => ip,
-            IpAddr::V4(_) => IpAddr::V4(Ipv4Addr::LOCALHOST),
-            IpAddr::V6(_) => IpAddr::V6(Ipv6Addr::LOCALHOST),
-        };
-        let _ = TcpStream::connect_timeout(&SocketAddr::new(ip, port), Duration::from_millis(200));
+        let _ = TcpStream::connect_timeout(&reachable(self.address), Duration::from_millis(200));
     }
+}
+
+/// The address by which this machine reaches a server that listens at `address`.
+fn reachable(address: SocketAddr) -> SocketAddr {
+    let ip = match address.ip() {
+        IpAddr::V4(ip) if ip.is_unspecified() => IpAddr::V4(Ipv4Addr::LOCALHOST),
+        IpAddr::V6(ip) if ip.is_unspecified() => IpAddr::V6(Ipv6Addr::LOCALHOST),
+        ip => ip,
+    };
+    SocketAddr::new(ip, address.port())
 }
 
 /// The names by which browsers know this machine.

@@ -1,4 +1,4 @@
-//! Which messages are seen: so many sweeps a second as one can look at, each with all that belongs to it.
+//! Chooses the messages that a viewer gets: about ten sweeps a second, each with the boxes and poses of its time.
 
 use std::collections::VecDeque;
 use std::time::{Duration, Instant};
@@ -7,9 +7,9 @@ use realo_schemas::{Message, Nanos, PayloadType};
 
 use super::Sweeps;
 
-/// Log time of which one or several sweeps are a picture.
+/// Log time that one picture covers, ns.
 const TENTH: Nanos = 100_000_000;
-/// What is this near to a sweep belongs to it.
+/// Max distance of a message's stamp from its picture's sweep, ns.
 const NEAR: Nanos = 60_000_000;
 /// From one picture to the next at least.
 const BETWEEN: Duration = Duration::from_millis(85);
@@ -37,6 +37,7 @@ impl Gate {
         }
     }
 
+    /// Whether a message belongs to a sweep that is shown. `now`: the wall clock.
     pub fn lets_through(&mut self, message: &Message, now: Instant) -> bool {
         let stamp = message.header.stamp;
         let kind = message.payload.payload_type();

@@ -80,13 +80,13 @@ mod tests {
 
     use super::*;
 
-    /// A ground plane as 128 beams see it, and a wall of 100 points far off.
+    /// A ground plane as 128 beams see it, and a wall of 600 points, 50 m ahead.
     fn sweep() -> PointCloud {
         let mut points = Vec::new();
         for beam in 0..128 {
             let range = 2.0 + 0.4 * beam as f32;
             for step in 0..1800 {
-                let (sin, cos) = (libm_sin(step as f32), libm_cos(step as f32));
+                let (sin, cos) = (step as f32 * std::f32::consts::TAU / 1800.0).sin_cos();
                 points.push([range * cos, range * sin, 0.0]);
             }
         }
@@ -102,14 +102,6 @@ mod tests {
             vec![0u16; n],
         )
         .unwrap()
-    }
-
-    fn libm_sin(step: f32) -> f32 {
-        (step * std::f32::consts::TAU / 1800.0).sin()
-    }
-
-    fn libm_cos(step: f32) -> f32 {
-        (step * std::f32::consts::TAU / 1800.0).cos()
     }
 
     #[test]

@@ -6,13 +6,14 @@ use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
 
-use nalgebra::{Isometry3, Matrix3, Quaternion, Rotation3, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use realo_logs::{AgentKind, track_of};
 
 use self::array::{Array, Arrays, Items};
 use super::{Importer, Job, Kind};
 use crate::faults::{FaultsOfSweep, FileKind};
 use crate::pcd::{Intensities, Points};
+use crate::places::of_rows;
 use crate::scenes::{Found, Label, Layout, RawSweep, Scene, SceneAgent, SweepFiles, agent_name};
 use crate::{ImportError, Options};
 
@@ -48,6 +49,12 @@ struct NumpyLayout;
 
 /// Poses of the `.npy` files of a folder.
 const POSES: &str = "poses.npy";
+/// What stands for no track.
+const NO_TRACK: f64 = -1.0;
+/// Largest number of a track: all whole numbers up to it are exact.
+const MOST_TRACK: f64 = (1u64 << 53) as f64;
+/// Arrays of a sweep.
+const ARRAYS: [&str; 5] = ["points", "pose", "boxes", "classes", "tracks"];
 /// How names of boxes beside `.npy` points end.
 const BOXES: &str = "_boxes.npy";
 
@@ -107,21 +114,27 @@ fn folders(dir: &Path) -> Result<BTreeSet<PathBuf>, ImportError> {
 /// Names of sweeps by their numbers; a `.npz` has all, so it goes before a `.npy` of the same number.
 fn frames(agent: &Path) -> Result<BTreeMap<u64, String>, ImportError> {
     let mut frames = BTreeMap::new();
-    for entry in fs::read_dir(agent).map_err(ImportError::io(agent))? {
-        let name = entry
-            .map_err(ImportError::io(agent))?
-            .file_name()
-            .to_string_lossy()
-            .into_owned();
-        let Some((stem, end @ ("npz" | "npy"))) = name.rsplit_once('.') else {
+    let entries = fs::read_dir(agent).map_err(ImportError::io(agent))?;
+    let names = entries.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned()));
+    let names: std::io::Result<BTreeSet<String>> = names.collect();
+    for name in names.map_err(ImportError::io(agent))? {
+        let Some((stem, "npz" | "npy")) = name.rsplit_once('.') else {
             continue;
         };
         let is_number = !stem.is_empty() && stem.bytes().all(|byte| byte.is_ascii_digit());
-        if let Some(number) = stem.parse().ok().filter(|_| is_number) {
-            let is_better = end == "npz" || !frames.contains_key(&number);
-            if is_better {
-                frames.insert(number, name);
-            }
+        if is_number && stem.parse::<u64>().is_err() {
+            let reason = "expected a number below 2^64 as its name; number the sweeps anew";
+            return Err(ImportError::content(&agent.join(&name), reason));
+        }
+        let Some(number) = stem.parse().ok().filter(|_| is_number) else {
+            continue;
+        };
+        // Names are sorted: the `.npz` of a stem comes behind its `.npy`, and has all.
+        if let Some(other) = frames.insert(number, name.clone())
+            && other.rsplit_once('.').map(|(other, _)| other) != Some(stem)
+        {
+            let reason = format!("expected one file for number {number}, found `{other}` too; remove one");
+            return Err(ImportError::content(&agent.join(&name), reason));
         }
     }
     Ok(frames)
@@ -228,15 +241,21 @@ fn agents_of(folders: Agents) -> Result<Vec<SceneAgent>, ImportError> {
 
 /// The poses of a folder's sweeps, one for each in the order of their numbers.
 fn poses(path: &Path, sweeps: usize) -> Result<Vec<Isometry3<f64>>, ImportError> {
+    if !path.is_file() {
+        let reason = format!(
+            "expected it beside `.npy` sweeps, with a pose for each of the {sweeps}, found none; or save each sweep as `.npz`"
+        );
+        return Err(ImportError::content(path, reason));
+    }
     let array = Array::read(path)?;
     let wrong = |reason: String| ImportError::content(path, reason);
     let (numbers, _) = array.numbers().map_err(wrong)?;
     let width = match array.shape[..] {
-        [count, 4, 4] if count == sweeps => 16,
+        [count, rows @ (3 | 4), 4] if count == sweeps => 4 * rows,
         [count, width @ (7 | 12 | 16)] if count == sweeps => width,
         _ => {
             return Err(wrong(format!(
-                "expected a pose for each of the {sweeps} sweeps beside it, {sweeps}×4×4 or {sweeps}×7 (x, y, z, qx, qy, qz, qw), found the \
+                "expected a pose for each of the {sweeps} sweeps beside it, {sweeps}×4×4, ×3×4 or ×7 (x, y, z, qx, qy, qz, qw), found the \
                  shape {:?}",
                 array.shape
             )));
@@ -266,29 +285,25 @@ fn pose_of(numbers: &[f64]) -> Result<Isometry3<f64>, String> {
             )),
         };
     }
-    let Some((&[a, b, c, x, d, e, f, y, g, h, i, z], [] | [0.0, 0.0, 0.0, 1.0])) = numbers.split_first_chunk::<12>()
-    else {
+    let is_pose = matches!(numbers.split_first_chunk::<12>(), Some((_, [] | [0.0, 0.0, 0.0, 1.0])));
+    if !is_pose {
         return Err(format!(
             "expected a pose of 4×4 (last row 0, 0, 0, 1), 3×4 or 7 numbers (x, y, z, qx, qy, qz, qw), found {numbers:?}"
         ));
-    };
-    let turn = Matrix3::new(a, b, c, d, e, f, g, h, i);
-    let off = (turn * turn.transpose() - Matrix3::identity()).norm();
-    if off > 0.01 || turn.determinant() < 0.0 {
-        return Err(format!(
-            "expected a right-handed rotation in the pose, found one whose product with its transpose is {off:.3} from the identity (determinant \
-             {:.3})",
-            turn.determinant()
-        ));
     }
-    let turn = UnitQuaternion::from_rotation_matrix(&Rotation3::from_matrix_unchecked(turn));
-    Ok(Isometry3::from_parts(Vector3::new(x, y, z).into(), turn))
+    of_rows(numbers).ok_or_else(|| format!("expected a right-handed rotation in the pose, found {numbers:?}"))
 }
 
 /// A sweep of an archive.
 fn archived(path: &Path, options: &Options) -> Result<RawSweep, ImportError> {
     let mut arrays = Arrays::read(path)?;
     let wrong = |reason: String| ImportError::content(path, reason);
+    if let Some(other) = arrays.other_than(&ARRAYS) {
+        let known = ARRAYS.join("`, `");
+        return Err(wrong(format!(
+            "expected no arrays but `{known}`, found `{other}`; rename it, or leave it out"
+        )));
+    }
     let missing = |name: &str, names: String| wrong(format!("expected an array `{name}`, found {names}"));
     let points_array = arrays.array("points").map_err(wrong)?;
     let points_array = points_array.ok_or_else(|| missing("points", arrays.names()))?;
@@ -323,10 +338,8 @@ fn archived(path: &Path, options: &Options) -> Result<RawSweep, ImportError> {
 fn beside(files: &SweepFiles, options: &Options) -> Result<RawSweep, ImportError> {
     let array = Array::read(&files.cloud)?;
     let points = points(&array).map_err(|reason| ImportError::content(&files.cloud, reason))?;
-    let map_from_lidar = files.map_from_lidar.ok_or_else(|| {
-        let reason = format!("expected `{POSES}` beside it, with a pose for each sweep, found none");
-        ImportError::content(&files.cloud, reason)
-    })?;
+    // `find` has refused folders that lack one.
+    let map_from_lidar = files.map_from_lidar.unwrap_or_default();
     let boxes = match files.labels.is_file() {
         true => Some(Array::read(&files.labels)?),
         false => None,
@@ -395,32 +408,50 @@ fn labels(
         Some(Items::Numbers(..)) => Err("classes: expected names, as [\"Car\", \"Bus\"], found numbers".to_string()),
         None => Ok(options.class.clone()),
     };
-    let label = |(row, numbers): (usize, &&[f64])| {
-        let &[x, y, z, length, width, height, yaw] = *numbers else {
-            return Err(format!(
-                "boxes: expected 7 numbers in row {row}, found {}",
-                numbers.len()
-            ));
+    let mut known = BTreeSet::new();
+    let mut track_at = |row: usize| {
+        let Some(track) = tracks.map(|tracks| tracks[row]).filter(|track| *track != NO_TRACK) else {
+            return Ok(None);
         };
-        if numbers.iter().any(|number| !number.is_finite()) {
+        if !(track.fract() == 0.0 && (0.0..=MOST_TRACK).contains(&track)) {
             return Err(format!(
-                "boxes: expected finite numbers in row {row}, found {numbers:?}"
+                "tracks: expected whole numbers from 0 to 2^53, or -1 for none, found {track} in row {row}; number them anew"
             ));
         }
-        let track = tracks.map(|tracks| tracks[row]);
+        match known.insert(track as u64) {
+            true => Ok(Some(track as u64)),
+            false => Err(format!(
+                "tracks: expected each once in a sweep, found {track} again in row {row}"
+            )),
+        }
+    };
+    let label = |(row, numbers): (usize, &&[f64])| {
+        let track = track_at(row)?;
         let id = match track {
             Some(track) => format!("{track}"),
             None => format!("{agent}:{row}"),
         };
-        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
+        let (map_from_object, size) = placed(numbers, map_from_lidar)
+            .ok_or_else(|| format!("boxes: expected 7 finite numbers in row {row}, found {numbers:?}"))?;
         Ok(Label {
             track: track.and_then(|_| track_of(&id)),
             id,
             class: class(row)?,
-            map_from_object: map_from_lidar * Isometry3::from_parts(Translation3::new(x, y, z), turn),
-            size: [length, width, height],
+            map_from_object,
+            size,
             speed: None,
         })
     };
     rows.iter().enumerate().map(label).collect()
+}
+
+/// Pose and size of a box x, y, z, length, width, height, yaw.
+fn placed(numbers: &[f64], map_from_lidar: &Isometry3<f64>) -> Option<(Isometry3<f64>, [f64; 3])> {
+    let &[x, y, z, length, width, height, yaw] = numbers else {
+        return None;
+    };
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
+    let pose = map_from_lidar * Isometry3::from_parts(Translation3::new(x, y, z), turn);
+    let is_finite = numbers.iter().all(|number| number.is_finite());
+    is_finite.then_some((pose, [length, width, height]))
 }

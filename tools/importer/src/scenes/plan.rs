@@ -10,7 +10,7 @@ use realo_logs::Log;
 use super::clock::Clock;
 use super::frame::numbers;
 use super::name::plain;
-use super::write::{SceneImport, all_missing};
+use super::write::{SceneImport, all_missing, source};
 use super::{Found, Layout, Scene, SceneAgent, SceneSummary};
 use crate::faults::listed;
 use crate::{ImportError, Options};
@@ -78,10 +78,10 @@ impl Work {
         progress(0, all as u64);
         let next = AtomicUsize::new(0);
         let made: Mutex<BTreeMap<usize, Result<SceneSummary, ImportError>>> = Mutex::default();
-        let (tell, told) = mpsc::channel();
+        let (sender, written_frames) = mpsc::channel();
         std::thread::scope(|scope| {
             for _ in 0..options.jobs.clamp(1, scenes.len().max(1)) {
-                let (tell, next, made) = (tell.clone(), &next, &made);
+                let (sender, next, made) = (sender.clone(), &next, &made);
                 scope.spawn(move || {
                     loop {
                         let place = next.fetch_add(1, Ordering::Relaxed);
@@ -89,9 +89,9 @@ impl Work {
                             return;
                         }
                         // The receiver outlives all senders.
-                        let summary = self.scene(place, || _ = tell.send(()));
+                        let summary = self.scene(place, || _ = sender.send(()));
                         if summary.is_err() {
-                            // A disk that is full is so for all.
+                            // Most likely the next scene fails as well: the disk is full.
                             next.store(scenes.len(), Ordering::Relaxed);
                         }
                         let mut made = made.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
@@ -99,8 +99,10 @@ impl Work {
                     }
                 });
             }
-            drop(tell);
-            (1..).zip(told).for_each(|(done, ())| progress(done, all as u64));
+            drop(sender);
+            (1..)
+                .zip(written_frames)
+                .for_each(|(done, ())| progress(done, all as u64));
         });
         let made = made.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner());
         let summaries = made.into_values().collect::<Result<Vec<SceneSummary>, ImportError>>()?;
@@ -125,7 +127,14 @@ impl Work {
     fn scene(&self, place: usize, mut progress: impl FnMut()) -> Result<SceneSummary, ImportError> {
         let (scene, output, options) = (&self.found.scenes[place], &self.outputs[place], &self.options);
         if options.resume && output.exists() {
-            Log::open(output)?;
+            let found = Log::open(output)?.info().source.clone();
+            let expected = source(self.layout, scene);
+            if found != expected {
+                let reason = format!(
+                    "--resume: expected the log of `{expected}`, found that of `{found}`; give another folder to -o, or remove it"
+                );
+                return Err(ImportError::content(output, reason));
+            }
             let frames = numbers(scene, options).len();
             (0..frames).for_each(|_| progress());
             return Ok(SceneSummary::there(&scene.name, output, frames));

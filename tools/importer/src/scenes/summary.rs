@@ -140,6 +140,13 @@ impl SceneSummary {
             let left = self.unwanted.join("`, `");
             write!(f, "\nthe truth lacks what only `{left}` labelled (--agents)")?;
         }
+        let sweeps: usize = self.agents.iter().map(|agent| agent.sweeps).sum();
+        if self.agents.len() > 1 && self.frames > 1 && sweeps == self.frames {
+            return write!(
+                f,
+                "\nNO FRAME IS OF TWO AGENTS: sweeps of one time must have one number; numbers are no stamps"
+            );
+        }
         for AgentSummary { name, sweeps, .. } in &self.agents {
             let gone = self.frames.saturating_sub(*sweeps);
             if gone > 0 {

@@ -83,7 +83,7 @@ impl<'a> SceneImport<'a> {
     fn info(&self, known: &[Known]) -> LogInfo {
         let agents = self.scene.agents.iter().zip(known);
         let agents = agents.map(|(agent, known)| self.agent(agent, known.height)).collect();
-        let mut info = LogInfo::new(format!("{}, scene `{}`", self.layout.title(), self.scene.name), agents);
+        let mut info = LogInfo::new(source(self.layout, self.scene), agents);
         info.key_frames = "all".into();
         info
     }
@@ -241,6 +241,11 @@ impl Writing<'_> {
         }
         Ok(self.summary)
     }
+}
+
+/// Where the log of a scene is from, as it says itself.
+pub fn source(layout: &dyn Layout, scene: &Scene) -> String {
+    format!("{}, scene `{}`", layout.title(), scene.name)
 }
 
 fn levelled(level: Level, tilts: &[f64]) -> Levelled {

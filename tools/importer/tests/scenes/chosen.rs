@@ -43,7 +43,14 @@ fn an_import_goes_on_where_it_ended_and_is_the_same_for_any_number_of_jobs() {
         summaries[0]
     );
     assert!(logs("one") == logs("four"));
-    std::fs::write(folder("four").join("2021_08_16_22_21_54.mcap"), b"half").unwrap();
+    let [one, other] = ["2021_08_16_22_20_54.mcap", "2021_08_16_22_21_54.mcap"].map(|name| folder("four").join(name));
+    std::fs::copy(one, &other).unwrap();
+    let error = import("opv2v", &data, &folder("four"), &[("resume", "")]).unwrap_err();
+    assert!(
+        error.contains("expected the log of `OPV2V, scene `2021_08_16_22_21_54``"),
+        "{error}"
+    );
+    std::fs::write(other, b"half").unwrap();
     let error = import("opv2v", &data, &folder("four"), &[("resume", "")]).unwrap_err();
     assert!(error.contains("22_21_54.mcap"), "{error}");
 }

@@ -185,6 +185,33 @@ fn files_of_arrays_have_their_boxes_and_poses_beside_them() {
 }
 
 #[test]
+fn poses_are_matrices_of_three_or_four_rows_or_quaternions_with_the_real_part_last() {
+    let dir = tempfile::tempdir().unwrap();
+    let agent = agents()[0];
+    let Sweep { points, pose, .. } = sweep(&agent, 0, 0);
+    let half = agent.six[4].to_radians() / 2.0;
+    let [x, y, z, ..] = agent.at(0);
+    let rows = doubles(&pose.transpose().as_slice()[..12]);
+    let forms = [
+        npy("<f8", "3, 4", &rows),
+        npy("<f8", "7,", &doubles(&[x, y, z, 0.0, 0.0, half.sin(), half.cos()])),
+    ];
+    for (frame, form) in forms.into_iter().enumerate() {
+        let arrays = [("points", points.clone()), ("pose", form)];
+        write(
+            &dir.path().join(format!("scene/cav1/{frame}.npz")),
+            &npz(&arrays, CompressionMethod::Stored),
+        );
+    }
+    let out = dir.path().join("out.mcap");
+    import("numpy", dir.path(), &out, &[]).unwrap();
+    let (_, found) = read(&out);
+    for frame in 0..2 {
+        compare(&found[&("cav1".to_string(), START + frame * PERIOD)], &agent, 0, 0);
+    }
+}
+
+#[test]
 fn what_an_archive_lacks_or_has_wrong_is_named() {
     let sound = || {
         let Sweep {
@@ -219,7 +246,7 @@ fn what_an_archive_lacks_or_has_wrong_is_named() {
         (
             "boxes",
             Some(npy("<f8", "1, 7", &doubles(&[f64::NAN; 7]))),
-            "expected finite numbers in row 0",
+            "expected 7 finite numbers in row 0",
         ),
     ];
     for (name, other, expected) in cases {
@@ -238,6 +265,68 @@ fn what_an_archive_lacks_or_has_wrong_is_named() {
             "{name}: {error}"
         );
     }
+    let more: [(&str, Vec<u8>, &str); 5] = [
+        (
+            "labels",
+            npy("<f8", "0,", &[]),
+            "expected no arrays but `points`, `pose`, `boxes`, `classes`, `tracks`, found `labels`",
+        ),
+        (
+            "tracks",
+            npy("<f8", "3,", &doubles(&[1.0, f64::NAN, 2.0])),
+            "tracks: expected whole numbers from 0 to 2^53",
+        ),
+        (
+            "tracks",
+            npy("<i8", "3,", &[1i64 << 60, 5, 6].map(i64::to_le_bytes).concat()),
+            "from 0 to 2^53",
+        ),
+        (
+            "tracks",
+            npy("<i8", "3,", &[5i64, 6, 5].map(i64::to_le_bytes).concat()),
+            "found 5 again in row 2",
+        ),
+        (
+            "tracks",
+            npy("<i8", "2,", &[5i64, 6].map(i64::to_le_bytes).concat()),
+            "one for each of the 3 boxes, found the shape [2]",
+        ),
+    ];
+    for (name, bytes, expected) in more {
+        let dir = tempfile::tempdir().unwrap();
+        let arrays = [sound(), vec![(name, bytes)]].concat();
+        write(
+            &dir.path().join("scene/1/7.npz"),
+            &npz(&arrays, CompressionMethod::Stored),
+        );
+        let error = import("numpy", dir.path(), &dir.path().join("out.mcap"), &[]).unwrap_err();
+        assert!(error.contains(expected), "{name}: {error}");
+    }
+    let dir = tempfile::tempdir().unwrap();
+    let none = [
+        sound(),
+        vec![("tracks", npy("<i8", "3,", &[-1i64; 3].map(i64::to_le_bytes).concat()))],
+    ]
+    .concat();
+    write(
+        &dir.path().join("scene/1/7.npz"),
+        &npz(&none, CompressionMethod::Stored),
+    );
+    let summary = &import("numpy", dir.path(), &dir.path().join("out.mcap"), &[]).unwrap()[0];
+    assert_eq!(summary.truth_boxes, 3, "each is an object of its own");
+    write(
+        &dir.path().join("scene/1/0007.npz"),
+        &npz(&none, CompressionMethod::Stored),
+    );
+    let error = import("numpy", dir.path(), &dir.path().join("out.mcap"), &[]).unwrap_err();
+    assert!(error.contains("one file for number 7, found `0007.npz` too"), "{error}");
+    let dir = tempfile::tempdir().unwrap();
+    write(&dir.path().join("scene/1/000000.npy"), &sound()[0].1);
+    let error = import("numpy", dir.path(), &dir.path().join("out.mcap"), &[]).unwrap_err();
+    assert!(
+        error.contains("poses.npy") && error.contains("a pose for each of the 1"),
+        "{error}"
+    );
     let dir = tempfile::tempdir().unwrap();
     fs::create_dir_all(dir.path().join("scene/1")).unwrap();
     let error = import("numpy", dir.path(), &dir.path().join("out.mcap"), &[]).unwrap_err();

@@ -8,7 +8,7 @@ use realo_diagram::Diagram;
 use realo_graph::{FlatGraph, FlatNode, Input, InputSource};
 use realo_operator::{Durations, Role};
 use realo_results::{GraphStages, LinkBooks, Run, read_run};
-use realo_schemas::{PayloadType, to_millis};
+use realo_schemas::{Kind, PayloadType, to_millis};
 
 use super::stages::{self, types};
 use crate::{registry, roles};
@@ -257,23 +257,10 @@ fn kinds_over(graph: &FlatGraph, link: &FlatNode) -> BTreeSet<&'static str> {
             let sent = PayloadType::ALL
                 .iter()
                 .filter(|kind| types.iter().any(|name| name == kind.as_str()));
-            kinds.extend(sent.filter_map(|kind| kind_of(*kind)));
+            kinds.extend(sent.filter_map(|payload| Kind::of(*payload)).map(|kind| kind.as_str()));
         }
     }
     kinds
-}
-
-/// The kind of messages with a payload, as results have it.
-fn kind_of(payload: PayloadType) -> Option<&'static str> {
-    use realo_schemas::Kind;
-    let kind = match payload {
-        PayloadType::PointCloud => Kind::Points,
-        PayloadType::FeatureMap => Kind::Features,
-        PayloadType::Boxes => Kind::Boxes,
-        PayloadType::AgentState => Kind::AgentState,
-        _ => return None,
-    };
-    Some(kind.as_str())
 }
 
 fn some(count: u64, what: &str) -> Option<String> {

@@ -181,11 +181,11 @@ impl Scene {
     }
 
     fn begin(&self) -> Result<bool> {
+        let opening = self.live.lock().unwrap_or_else(PoisonError::into_inner).opening()?;
         if self.view.taken.swap(true, Ordering::SeqCst) {
             return Ok(false);
         }
-        let live = self.live.lock().unwrap_or_else(PoisonError::into_inner);
-        self.view.server.open(&live.opening()?);
+        self.view.server.open(&opening);
         Ok(true)
     }
 }

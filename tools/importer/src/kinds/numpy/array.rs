@@ -12,8 +12,10 @@ use crate::files::read;
 
 /// How a `.npy` file begins.
 const MAGIC: &[u8] = b"\x93NUMPY";
-/// Bytes of an array, at most: a gigabyte is no sweep.
-const MOST: u64 = 1 << 30;
+/// Bytes of an array, at most: a quarter of a gigabyte is no sweep.
+const MOST: u64 = 1 << 28;
+/// Items of an array, and texts, at most.
+const MOST_ITEMS: [u64; 2] = [1 << 26, 1 << 16];
 /// Axes of an array, at most.
 const AXES: usize = 4;
 
@@ -183,7 +185,7 @@ fn head_of(head: &str) -> Result<(Item, bool, bool, Vec<usize>), String> {
     let Some(descr) = descr else {
         return Err("expected an array of numbers or texts, found one of named fields; save its columns as one array of float32".into());
     };
-    let (order, name) = descr.split_at(descr.len().min(1));
+    let (order, name) = descr.split_at_checked(1).unwrap_or(("", descr));
     let sized = |letter: char| name.strip_prefix(letter).and_then(|size| size.parse::<usize>().ok());
     let known = Number::ALL.iter().find(|(known, _, _)| *known == name);
     let item = match (known, sized('U'), sized('S')) {
@@ -220,9 +222,14 @@ fn items(bytes: &[u8], item: Item, is_big: bool, is_fortran: bool, shape: Vec<us
     let wanted = count
         .and_then(|count| count.checked_mul(size as u64))
         .filter(|wanted| *wanted <= MOST);
-    let Some(wanted) = wanted.filter(|_| shape.len() <= AXES) else {
+    let [numbers, texts] = MOST_ITEMS;
+    let most = match item {
+        Item::Number(..) => numbers,
+        Item::Unicode(_) | Item::Ascii(_) => texts,
+    };
+    let Some(wanted) = wanted.filter(|_| shape.len() <= AXES && count <= Some(most)) else {
         return Err(format!(
-            "expected at most {AXES} axes and {MOST} bytes, found the shape {shape:?}"
+            "expected at most {AXES} axes, {MOST} bytes, {numbers} numbers and {texts} texts, found the shape {shape:?}"
         ));
     };
     if bytes.len() as u64 != wanted {
@@ -303,6 +310,14 @@ impl Arrays {
         names.collect::<Vec<_>>().join(", ")
     }
 
+    /// An array that is none of these.
+    pub fn other_than(&self, known: &[&str]) -> Option<String> {
+        let names = self.archive.file_names().flatten();
+        let mut names = names.map(|name| name.trim_end_matches(".npy").to_string());
+        let other = names.find(|name| !known.contains(&&**name));
+        other.map(|name| shown(&name))
+    }
+
     /// An array, if it is there.
     ///
     /// # Errors
@@ -378,6 +393,11 @@ mod tests {
             (
                 npy(&head("<f4", "False", "99999999999, 99999999999"), &[]),
                 "found the shape",
+            ),
+            (npy(&head("é4", "False", "1,"), &[0; 4]), "items of the type `é4`"),
+            (
+                npy(&head("|S1", "False", "99999,"), &[0; 99999]),
+                "found the shape [99999]",
             ),
             (npy(&head("<c8", "False", "1,"), &[0; 8]), "items of the type `<c8`"),
             (
