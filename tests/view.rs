@@ -202,19 +202,16 @@ fn pictures_of_a_run_on_dora_have_boxes_truth_points_and_what_was_fused() {
     watched.until("the last run stays at");
     assert_eq!(said[0]["what"], "scene");
     assert_eq!(said[0]["scene"]["ego"], "cav1");
-    let with_boxes = |(head, _): &&(Value, usize)| head["run"]["boxes"].is_array();
     let mut late = Page::open(&watched.host);
-    let mut again = Vec::new();
-    while again.len() < pictures.len() {
-        again.push(late.picture(&mut said).expect("who comes late gets them too"));
+    // On a busy machine some sweeps are drawn before their truth, or the sweeps and states of others, have come.
+    loop {
+        let (head, points) = late.picture(&mut said).expect("who comes late gets a whole one");
+        let count = |of: &Value| of.as_array().map_or(0, Vec::len);
+        let of_sweep = head["run"]["boxes"].is_array() && head["run"]["known"] == true;
+        if of_sweep && count(&head["clouds"]) > 0 && points > 100 && count(&head["agents"]) > 1 {
+            break;
+        }
     }
-    let (head, points) = again.iter().rev().find(with_boxes).expect("one has boxes");
-    assert_eq!(head["run"]["known"], true, "{head}");
-    assert!(
-        !head["clouds"].as_array().expect("a list").is_empty() && *points > 100,
-        "{points} points"
-    );
-    assert!(head["agents"].as_array().expect("a list").len() > 1, "{head}");
     while !said.iter().any(|said| said["what"] == "used") {
         late.picture(&mut said).expect("what was fused is said");
     }

@@ -35,7 +35,7 @@ pub use realo_scoring as scoring;
 
 pub use ledger::{ChannelKey, Fates, Ledger, Settled};
 pub use links::link_books;
-pub use progress::Live;
+pub use progress::RunProgress;
 pub use result::{
     Accounted, AgeTable, EdgeBooks, Frames, LinkBooks, NodeSummary, RESULT, RunResult, Settings, Transport, VERSION,
 };

@@ -18,11 +18,11 @@ const OFTEN: Duration = Duration::from_secs(1);
 const LIVE: &str = "live: ";
 
 /// How the runs of this process go, by their folders.
-static KNOWN: Mutex<BTreeMap<PathBuf, Live>> = Mutex::new(BTreeMap::new());
+static KNOWN: Mutex<BTreeMap<PathBuf, RunProgress>> = Mutex::new(BTreeMap::new());
 
 /// How a run goes.
 #[derive(Clone, Debug, Default, PartialEq, Serialize, Deserialize)]
-pub struct Live {
+pub struct RunProgress {
     /// Log time from the first boxes to the newest, s.
     pub into_log_s: f64,
     /// Boxes of the ego in a second of the log, since the last report.
@@ -33,14 +33,14 @@ pub struct Live {
     pub lost: Option<u64>,
 }
 
-impl Live {
+impl RunProgress {
     /// How a run of this process goes that writes to a folder; `None` before its first report.
-    pub fn of(out: &Path) -> Option<Live> {
+    pub fn of(out: &Path) -> Option<RunProgress> {
         KNOWN.lock().unwrap_or_else(PoisonError::into_inner).get(out).cloned()
     }
 
     /// What a line of a process of a run says; `None` of any other line.
-    pub fn from_line(line: &str) -> Option<Live> {
+    pub fn from_line(line: &str) -> Option<RunProgress> {
         serde_json::from_str(line.split_once(LIVE)?.1.trim()).ok()
     }
 
@@ -61,7 +61,7 @@ impl Live {
     }
 }
 
-impl fmt::Display for Live {
+impl fmt::Display for RunProgress {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         write!(f, "{:.1} s into the log, {:.1} Hz", self.into_log_s, self.hz)?;
         if let Some(age) = self.age_ms {
@@ -132,7 +132,7 @@ impl Progress {
     }
 
     /// The report of now; what is counted begins anew.
-    fn live(&mut self, stamp: Nanos) -> Live {
+    fn live(&mut self, stamp: Nanos) -> RunProgress {
         let [first, last] = self.begun.unwrap_or([stamp; 2]);
         let boxes = std::mem::take(&mut self.boxes);
         let mut ages = std::mem::take(&mut self.ages);
@@ -140,7 +140,7 @@ impl Progress {
         self.begun = Some([first, stamp]);
         // The boxes of the first report are one more than the times between them.
         let steps = boxes - u64::from(last == first);
-        Live {
+        RunProgress {
             into_log_s: to_seconds(stamp - first),
             hz: steps as f64 / to_seconds(stamp - last).max(1e-9),
             age_ms: ages.get(ages.len() / 2).map(|age| to_millis(*age)),
@@ -194,8 +194,8 @@ mod tests {
         assert_eq!(live.short(), "10.0 Hz, 150 ms old, 1 lost");
         // As dora writes it.
         let line = format!("14:30:15 stdout score: {}", live.to_line());
-        assert_eq!(Live::from_line(&line), Some(live));
-        assert_eq!(Live::from_line("14:30:15 stdout score: live: no"), None);
+        assert_eq!(RunProgress::from_line(&line), Some(live));
+        assert_eq!(RunProgress::from_line("14:30:15 stdout score: live: no"), None);
     }
 
     #[test]
@@ -204,8 +204,8 @@ mod tests {
         let mut progress = Progress::new(out, true);
         progress.last = Instant::now() - EVERY;
         (0..3).for_each(|at| progress.boxes(at * TENTH, false));
-        assert_eq!(Live::of(out).map(|live| live.hz), Some(10.0));
+        assert_eq!(RunProgress::of(out).map(|live| live.hz), Some(10.0));
         drop(progress);
-        assert_eq!(Live::of(out), None);
+        assert_eq!(RunProgress::of(out), None);
     }
 }

@@ -17,7 +17,7 @@ pub mod unfinished;
 
 pub use choice::one_of;
 pub use left_out::report_left_out;
-pub use output::{Force, Output};
+pub use output::{Force, Output, expect_ending, write_whole};
 pub use progress::Progress;
 pub use reference::{HEAD, markdown};
 

@@ -53,6 +53,40 @@ impl Output {
     };
 }
 
+/// Refuses a file whose name ends otherwise; the first ending is the one that is named.
+///
+/// # Errors
+/// The ending that was expected, and the one that was found.
+pub fn expect_ending(path: &Path, endings: &[&str]) -> Result<()> {
+    let found = path.extension().map(|ending| ending.to_string_lossy().to_lowercase());
+    if found.as_deref().is_some_and(|found| endings.contains(&found)) {
+        return Ok(());
+    }
+    bail!(
+        "{}: expected a file name that ends in .{}, found {}",
+        path.display(),
+        endings.first().copied().unwrap_or_default(),
+        found.map_or("no ending".into(), |ending| format!(".{ending}"))
+    )
+}
+
+/// Writes a file at once or not at all.
+///
+/// # Errors
+/// Where the system refuses, with its reason.
+pub fn write_whole(path: &Path, content: impl AsRef<[u8]>) -> Result<()> {
+    let partial = path.with_added_extension("partial");
+    let written = fs::write(&partial, content).and_then(|()| fs::rename(&partial, path));
+    written.map_err(|reason| {
+        // It may not be there at all.
+        let _ = fs::remove_file(&partial);
+        eyre!(
+            "{}: cannot be written: {reason}; choose another place with -o",
+            path.display()
+        )
+    })
+}
+
 impl Force {
     /// Refuses to replace a file that is not of the kind that the command writes; to be called before anything is computed.
     ///

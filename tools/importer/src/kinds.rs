@@ -4,6 +4,7 @@ mod bag;
 mod cooperscene;
 mod dair;
 mod family;
+mod folders;
 mod job;
 mod kitti;
 mod numpy;

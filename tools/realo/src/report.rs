@@ -3,7 +3,7 @@
 use std::path::PathBuf;
 
 use eyre::{Result, bail};
-use realo_cli::{Force, Outcome, Output, Progress};
+use realo_cli::{Force, Outcome, Output, Progress, expect_ending, write_whole};
 use realo_page::Request;
 
 use crate::compare::names;
@@ -37,17 +37,7 @@ pub struct Args {
 
 /// Writes the page and says what is on it.
 pub fn main(args: &Args) -> Result<Outcome> {
-    let ending = args
-        .output
-        .extension()
-        .map(|ending| ending.to_string_lossy().to_lowercase());
-    if !matches!(ending.as_deref(), Some("html" | "htm")) {
-        bail!(
-            "{}: expected a file name that ends in .html, found {}",
-            args.output.display(),
-            ending.map_or("no ending".into(), |ending| format!(".{ending}"))
-        );
-    }
+    expect_ending(&args.output, &["html", "htm"])?;
     args.force.check(&args.output, Output::HTML)?;
     if let Some(log) = args.log.as_ref().filter(|log| !log.exists()) {
         bail!(
@@ -69,15 +59,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         progress.of(done as f64, all as f64);
     })?;
     progress.finish();
-    let partial = args.output.with_added_extension("partial");
-    let written = std::fs::write(&partial, &page.html).and_then(|()| std::fs::rename(&partial, &args.output));
-    if let Err(reason) = written {
-        let _ = std::fs::remove_file(&partial);
-        bail!(
-            "{}: cannot be written: {reason}; choose another place with -o",
-            args.output.display()
-        );
-    }
+    write_whole(&args.output, &page.html)?;
     for line in &page.left_out {
         eprintln!("realo: {line}");
     }

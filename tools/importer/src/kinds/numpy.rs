@@ -3,13 +3,13 @@
 mod array;
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
 use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion, Vector3};
 use realo_logs::{AgentKind, track_of};
 
 use self::array::{Array, Arrays, Items};
+use super::folders::{frame_of, list, name_of, scene_name};
 use super::{Importer, Job, Kind};
 use crate::faults::{FaultsOfSweep, FileKind};
 use crate::pcd::{Intensities, Points};
@@ -87,7 +87,7 @@ fn scenes(dir: &Path) -> Result<Vec<(PathBuf, Agents)>, ImportError> {
     let mut open = vec![(dir.to_path_buf(), 0)];
     while let Some((folder, depth)) = open.pop() {
         let mut agents = Agents::new();
-        for inner in folders(&folder)? {
+        for inner in list(&folder)?.folders {
             let frames = frames(&inner)?;
             match frames.is_empty() {
                 false => agents.push((inner, frames)),
@@ -103,30 +103,18 @@ fn scenes(dir: &Path) -> Result<Vec<(PathBuf, Agents)>, ImportError> {
     Ok(scenes)
 }
 
-fn folders(dir: &Path) -> Result<BTreeSet<PathBuf>, ImportError> {
-    let entries = fs::read_dir(dir).map_err(ImportError::io(dir))?;
-    let paths = entries.map(|entry| entry.map(|entry| entry.path()).map_err(ImportError::io(dir)));
-    let mut folders = paths.collect::<Result<BTreeSet<PathBuf>, ImportError>>()?;
-    folders.retain(|path| path.is_dir() && !name_of(path).starts_with(['.', '_']));
-    Ok(folders)
-}
-
 /// Names of sweeps by their numbers; a `.npz` has all, so it goes before a `.npy` of the same number.
 fn frames(agent: &Path) -> Result<BTreeMap<u64, String>, ImportError> {
     let mut frames = BTreeMap::new();
-    let entries = fs::read_dir(agent).map_err(ImportError::io(agent))?;
-    let names = entries.map(|entry| Ok(entry?.file_name().to_string_lossy().into_owned()));
-    let names: std::io::Result<BTreeSet<String>> = names.collect();
-    for name in names.map_err(ImportError::io(agent))? {
+    for name in list(agent)?.files {
         let Some((stem, "npz" | "npy")) = name.rsplit_once('.') else {
             continue;
         };
-        let is_number = !stem.is_empty() && stem.bytes().all(|byte| byte.is_ascii_digit());
-        if is_number && stem.parse::<u64>().is_err() {
-            let reason = "expected a number below 2^64 as its name; number the sweeps anew";
-            return Err(ImportError::content(&agent.join(&name), reason));
-        }
-        let Some(number) = stem.parse().ok().filter(|_| is_number) else {
+        let Some((number, _)) = frame_of(&name) else {
+            if stem.bytes().all(|byte| byte.is_ascii_digit()) {
+                let reason = "expected a number below 2^64 as its name; number the sweeps anew";
+                return Err(ImportError::content(&agent.join(&name), reason));
+            }
             continue;
         };
         // Names are sorted: the `.npz` of a stem comes behind its `.npy`, and has all.
@@ -138,10 +126,6 @@ fn frames(agent: &Path) -> Result<BTreeMap<u64, String>, ImportError> {
         }
     }
     Ok(frames)
-}
-
-fn name_of(path: &Path) -> String {
-    path.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 impl Layout for NumpyLayout {
@@ -156,17 +140,8 @@ impl Layout for NumpyLayout {
             return Err(ImportError::content(dir, reason));
         }
         let scene = |(folder, agents): (PathBuf, Agents)| {
-            let below = folder.strip_prefix(dir).unwrap_or(&folder);
-            let names = below
-                .components()
-                .map(|part| part.as_os_str().to_string_lossy().into_owned());
-            let name = names.collect::<Vec<_>>().join("/");
-            let name = match name.is_empty() {
-                true => name_of(&fs::canonicalize(dir).unwrap_or_else(|_| dir.into())),
-                false => name,
-            };
             Ok(Scene {
-                name,
+                name: scene_name(dir, &folder),
                 agents: agents_of(agents)?,
                 unwanted: Vec::new(),
             })

@@ -6,8 +6,8 @@ mod stages;
 use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
 
-use eyre::{Result, bail};
-use realo_cli::{Force, Outcome, Output, find};
+use eyre::Result;
+use realo_cli::{Force, Outcome, Output, expect_ending, find, write_whole};
 use realo_diagram::{Diagram, Terminal};
 use realo_graph::{FlatGraph, Graph};
 use realo_results::run_folder;
@@ -31,7 +31,7 @@ pub struct Args {
 /// Prints the graph, or writes its picture.
 pub fn main(args: &Args) -> Result<Outcome> {
     if let Some(output) = &args.output {
-        check_ending(output)?;
+        expect_ending(output, &["svg"])?;
         args.force.check(output, Output::SVG)?;
     }
     let diagram = diagram(&args.graph)?;
@@ -44,12 +44,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         }
         Some(output) => {
             let picture = realo_diagram::svg(&diagram);
-            if let Err(reason) = std::fs::write(output, &picture) {
-                bail!(
-                    "{}: cannot be written: {reason}; choose another place with -o",
-                    output.display()
-                );
-            }
+            write_whole(output, &picture)?;
             println!(
                 "{}: {}, {:.0} KB",
                 output.display(),
@@ -59,18 +54,6 @@ pub fn main(args: &Args) -> Result<Outcome> {
         }
     }
     Ok(Outcome::Complete)
-}
-
-fn check_ending(output: &Path) -> Result<()> {
-    let ending = output.extension().map(|ending| ending.to_string_lossy().to_lowercase());
-    match ending.as_deref() {
-        Some("svg") => Ok(()),
-        found => bail!(
-            "{}: expected a file name that ends in .svg, found {}",
-            output.display(),
-            found.map_or("no ending".into(), |ending| format!(".{ending}"))
-        ),
-    }
 }
 
 /// The picture of a graph, or of a run where the path is a folder or one of a run's files.

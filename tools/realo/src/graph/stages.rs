@@ -10,18 +10,15 @@ use realo_operator::Registration;
 use realo_schemas::PayloadType;
 
 use crate::registry;
+use crate::run::count;
 
 /// What a graph has, in a line.
 pub fn title(name: &str, diagram: &Diagram) -> String {
-    let count = |number: usize, what: &str, more: &str| match number {
-        1 => format!("1 {what}"),
-        _ => format!("{number} {what}{more}"),
-    };
     format!(
         "{name}: {}, {}, {}",
-        count(diagram.processes.len(), "process", "es"),
-        count(diagram.stages.len(), "stage", "s"),
-        count(diagram.wires.len(), "wire", "s")
+        count(diagram.processes.len(), "process", "processes"),
+        count(diagram.stages.len(), "stage", "stages"),
+        count(diagram.wires.len(), "wire", "wires")
     )
 }
 

@@ -291,7 +291,8 @@ fn are(number: usize) -> &'static str {
     if number == 1 { "is" } else { "are" }
 }
 
-fn count(number: usize, one: &str, several: &str) -> String {
+/// A number with its noun.
+pub(crate) fn count(number: usize, one: &str, several: &str) -> String {
     format!("{number} {}", if number == 1 { one } else { several })
 }
 

@@ -43,6 +43,7 @@ use batch::{Batch, Unfinished};
 use folders::Folders;
 use view::View;
 
+pub(crate) use batch::count;
 pub use dora::find as find_dora;
 pub(crate) use dora::on_this_machine as dora_on_this_machine;
 pub(crate) use limit::PERFECT;

@@ -14,7 +14,7 @@ use realo_cli::signals::{self, Ending};
 use realo_host::TAP_VARIABLE;
 use realo_host::dora::{FOLDER_VARIABLE, OVERLAY_VARIABLE, POOL_VARIABLE, Slow};
 use realo_operator::Durations;
-use realo_results::{Live, Run};
+use realo_results::{Run, RunProgress};
 
 use super::batch::Unfinished;
 use super::nodes::{argument, deciding};
@@ -288,7 +288,7 @@ struct Follower {
     /// The nodes that have not ended, with their processes.
     running: BTreeMap<String, u32>,
     /// How the run goes, if that is new.
-    live: Option<Live>,
+    live: Option<RunProgress>,
 }
 
 impl Follower {
@@ -319,7 +319,7 @@ impl Follower {
             self.culprit = text.lines().find_map(failed);
         }
         text.lines().for_each(|line| self.follow(line));
-        self.live = text.lines().rev().find_map(Live::from_line).or(self.live.take());
+        self.live = text.lines().rev().find_map(RunProgress::from_line).or(self.live.take());
         let slow = text.lines().filter_map(Slow::from_line);
         slow.map(|slow| keeping_up(&slow, self.rate)).collect()
     }

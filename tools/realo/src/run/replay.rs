@@ -11,7 +11,7 @@ use realo_cli::{Progress, signals};
 use realo_graph::FlatGraph;
 use realo_host::{ComputeProfile, Outline, Shared, Stages, Tap, virtual_time};
 use realo_operator::Books;
-use realo_results::Live;
+use realo_results::RunProgress;
 use realo_schemas::{Nanos, to_seconds};
 
 use super::Mode;
@@ -133,9 +133,10 @@ impl Egos<'_> {
                 if let Some(bar) = bar {
                     bar.add(*seconds);
                 }
-                if let (Some(live), Some(bar)) =
-                    (Live::of(&self.plans[*number].out), bar.or(is_alone.then_some(self.all)))
-                {
+                if let (Some(live), Some(bar)) = (
+                    RunProgress::of(&self.plans[*number].out),
+                    bar.or(is_alone.then_some(self.all)),
+                ) {
                     bar.say(live.short());
                 }
             }

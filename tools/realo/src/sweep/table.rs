@@ -5,7 +5,8 @@ use std::fmt::{self, Write};
 use std::path::Path;
 use std::rc::Rc;
 
-use eyre::{Result, WrapErr};
+use eyre::Result;
+use realo_cli::write_whole;
 use realo_render::{Chart, Curve, Value};
 use realo_report::Run;
 
@@ -48,13 +49,13 @@ impl Sweep {
         if self.is_empty() {
             return Ok(());
         }
-        put(&folder.join(POINTS), &self.csv())?;
-        put(&folder.join(MARGINS), &self.margins_csv())?;
+        write_whole(&folder.join(POINTS), &self.csv())?;
+        write_whole(&folder.join(MARGINS), &self.margins_csv())?;
         for vary in 0..self.vary.len() {
             if self.vary[vary].values.len() > 1 {
                 let name = self.vary[vary].name.replace('/', "_");
                 realo_render::write(&folder.join(format!("{name}.svg")), &self.chart(vary).draw())?;
-                put(&folder.join(format!("{name}.md")), &self.markdown(vary))?;
+                write_whole(&folder.join(format!("{name}.md")), &self.markdown(vary))?;
             }
         }
         Ok(())
@@ -544,13 +545,6 @@ fn aligned(lines: &[Vec<String>]) -> String {
         let _ = writeln!(text, "{}", cells.join("  ").trim_end());
     }
     text
-}
-
-/// Writes a file at once or not at all.
-fn put(file: &Path, text: &str) -> Result<()> {
-    let partial = file.with_added_extension("partial");
-    let written = std::fs::write(&partial, text).and_then(|()| std::fs::rename(&partial, file));
-    written.wrap_err_with(|| format!("{}", file.display()))
 }
 
 #[cfg(test)]

@@ -1,11 +1,11 @@
 //! Finds scenes, agents and frames below a folder.
 
-use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use realo_logs::AgentKind;
 
+use super::super::folders::{Listed, frame_of, list, name_of, scene_name};
 use super::frame_file::FrameFile;
 use crate::scenes::{Found, Scene, SceneAgent, SweepFiles, agent_name};
 use crate::{ImportError, Options};
@@ -15,77 +15,42 @@ const DEEPEST: usize = 4;
 /// How names of label files end.
 const LABELS: &str = "yaml";
 
-/// A folder with its files and its folders.
-#[derive(Default)]
-struct Listed {
-    files: BTreeSet<String>,
-    folders: Vec<PathBuf>,
+/// Whether a folder has frames of an agent.
+fn is_agent(listed: &Listed, clouds: &[&str]) -> bool {
+    let mut frames = listed.files.iter().filter_map(|name| frame_of(name));
+    frames.any(|(_, end)| end == LABELS || clouds.contains(&end))
 }
 
-fn list(dir: &Path) -> Result<Listed, ImportError> {
-    let mut listed = Listed::default();
-    for entry in fs::read_dir(dir).map_err(ImportError::io(dir))? {
-        let path = entry.map_err(ImportError::io(dir))?.path();
-        let name = path.file_name().unwrap_or_default().to_string_lossy().into_owned();
-        match path.is_dir() {
-            // `.git`, `__MACOSX` and the like.
-            true if name.starts_with(['.', '_']) => {}
-            true => listed.folders.push(path),
-            false => drop(listed.files.insert(name)),
+/// Sweeps by their numbers. What is missing has the name that it should have.
+fn sweeps(listed: &Listed, dir: &Path, clouds: &[&str]) -> BTreeMap<u64, SweepFiles> {
+    let mut stems = BTreeMap::<u64, &str>::new();
+    for name in &listed.files {
+        if let Some((number, end)) = frame_of(name)
+            && (end == LABELS || clouds.contains(&end))
+        {
+            stems
+                .entry(number)
+                .or_insert_with(|| &name[..name.len() - end.len() - 1]);
         }
     }
-    listed.folders.sort();
-    Ok(listed)
-}
-
-/// The number that a file's name is, and how it ends: `000068.yaml`, not `000068_camera0.png`.
-fn frame_of(name: &str) -> Option<(u64, &str)> {
-    let (stem, end) = name.rsplit_once('.')?;
-    let is_number = !stem.is_empty() && stem.bytes().all(|byte| byte.is_ascii_digit());
-    Some((stem.parse().ok().filter(|_| is_number)?, end))
-}
-
-impl Listed {
-    fn is_agent(&self, clouds: &[&str]) -> bool {
-        let mut frames = self.files.iter().filter_map(|name| frame_of(name));
-        frames.any(|(_, end)| end == LABELS || clouds.contains(&end))
-    }
-
-    /// Sweeps by their numbers. What is missing has the name that it should have.
-    fn sweeps(&self, dir: &Path, clouds: &[&str]) -> BTreeMap<u64, SweepFiles> {
-        let mut stems = BTreeMap::<u64, &str>::new();
-        for name in &self.files {
-            if let Some((number, end)) = frame_of(name)
-                && (end == LABELS || clouds.contains(&end))
-            {
-                stems
-                    .entry(number)
-                    .or_insert_with(|| &name[..name.len() - end.len() - 1]);
-            }
-        }
-        let sweep = |(number, stem): (u64, &str)| {
-            let ends = clouds.iter().copied();
-            let there = ends.clone().find(|end| self.files.contains(&format!("{stem}.{end}")));
-            let end = there.or(ends.clone().next()).unwrap_or_default();
-            let files = SweepFiles {
-                cloud: dir.join(format!("{stem}.{end}")),
-                labels: dir.join(format!("{stem}.{LABELS}")),
-                ..SweepFiles::default()
-            };
-            (number, files)
+    let sweep = |(number, stem): (u64, &str)| {
+        let ends = clouds.iter().copied();
+        let there = ends.clone().find(|end| listed.files.contains(&format!("{stem}.{end}")));
+        let end = there.or(ends.clone().next()).unwrap_or_default();
+        let files = SweepFiles {
+            cloud: dir.join(format!("{stem}.{end}")),
+            labels: dir.join(format!("{stem}.{LABELS}")),
+            ..SweepFiles::default()
         };
-        stems.into_iter().map(sweep).collect()
-    }
+        (number, files)
+    };
+    stems.into_iter().map(sweep).collect()
 }
 
 /// Whether a folder's name is an agent's: a number.
 fn is_number(name: &str) -> bool {
     let digits = name.strip_prefix('-').unwrap_or(name);
     !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit())
-}
-
-fn name_of(dir: &Path) -> String {
-    dir.file_name().unwrap_or_default().to_string_lossy().into_owned()
 }
 
 /// Walks down and collects the scenes.
@@ -104,7 +69,7 @@ impl Walk<'_> {
         let mut empty = Vec::new();
         for folder in &listed.folders {
             let inside = list(folder)?;
-            if inside.is_agent(&self.clouds) {
+            if is_agent(&inside, &self.clouds) {
                 agents.push((folder.clone(), inside));
             } else if is_number(&name_of(folder)) && inside.folders.is_empty() {
                 empty.push(folder.clone());
@@ -123,20 +88,11 @@ impl Walk<'_> {
     }
 
     fn scene(&mut self, dir: &Path, folders: Vec<(PathBuf, Listed)>) -> Result<(), ImportError> {
-        let below: Vec<String> = dir
-            .strip_prefix(self.root)
-            .unwrap_or(dir)
-            .components()
-            .map(|part| part.as_os_str().to_string_lossy().into_owned())
-            .collect();
-        let name = match below.is_empty() {
-            true => name_of(&fs::canonicalize(dir).unwrap_or_else(|_| dir.into())),
-            false => below.join("/"),
-        };
+        let name = scene_name(self.root, dir);
         let mut agents: Vec<SceneAgent> = Vec::new();
         let mut known: Vec<(AgentKind, String, BTreeMap<u64, SweepFiles>)> = Vec::new();
         for (folder, listed) in folders {
-            let sweeps = listed.sweeps(&folder, &self.clouds);
+            let sweeps = sweeps(&listed, &folder, &self.clouds);
             let name = name_of(&folder);
             let kind = match self.roadside.contains(&&*name) {
                 true => AgentKind::Roadside,
@@ -188,7 +144,7 @@ pub fn find(dir: &Path, clouds: &[&'static str], roadside: &[&str], options: &Op
     if let Some(wanted) = options.cloud.as_deref() {
         clouds.sort_by_key(|end| *end != wanted);
     }
-    if list(dir)?.is_agent(&clouds) {
+    if is_agent(&list(dir)?, &clouds) {
         let reason = "expected a scene with a folder for each agent, found the frames of one agent; give the folder that it is in";
         return Err(ImportError::content(dir, reason));
     }
