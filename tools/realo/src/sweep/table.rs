@@ -49,13 +49,13 @@ impl Sweep {
         if self.is_empty() {
             return Ok(());
         }
-        write_whole(&folder.join(POINTS), &self.csv())?;
-        write_whole(&folder.join(MARGINS), &self.margins_csv())?;
+        write_whole(&folder.join(POINTS), self.csv())?;
+        write_whole(&folder.join(MARGINS), self.margins_csv())?;
         for vary in 0..self.vary.len() {
             if self.vary[vary].values.len() > 1 {
                 let name = self.vary[vary].name.replace('/', "_");
                 realo_render::write(&folder.join(format!("{name}.svg")), &self.chart(vary).draw())?;
-                write_whole(&folder.join(format!("{name}.md")), &self.markdown(vary))?;
+                write_whole(&folder.join(format!("{name}.md")), self.markdown(vary))?;
             }
         }
         Ok(())
