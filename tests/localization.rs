@@ -1,10 +1,17 @@
 //! Agents that find their own poses: the options, errors in the result, and what is refused.
 
 mod common;
+#[path = "common/scans.rs"]
+mod scans;
 
 use std::path::{Path, PathBuf};
 
 use common::{folder, realo, realo_ok, run_virtual, simulated, text};
+use nalgebra::{Isometry3, Vector3};
+use realo_logs::{
+    ANTENNA_FRAME, AgentInfo, AgentKind, FixReading, IMU_FRAME, ImuReading, LogInfo, LogWriter, MapOrigin, sensor_frame,
+};
+use realo_schemas::{AgentState, FixQuality, Nanos, PointCloud, PoseStatus};
 use serde_json::Value;
 
 const DRIVE: &str = "--scenario loop --seed 900 --place 900 --seconds 8 --key-hz 1 --agents cav1,rsu1 --vehicle-sensor spinning-16 \
@@ -136,4 +143,92 @@ fn what_cannot_be_localised_is_refused_by_name() {
         text.contains("a map of another place") && text.contains("cav1 at ("),
         "{text}"
     );
+}
+
+/// A log of a vehicle that stands for 8 s, with one sweep two times a second, an inertial unit, and a receiver that is off by up to 2 m.
+fn standing(path: &Path, cloud: &PointCloud, map_from_body: &Isometry3<f64>) {
+    const START: Nanos = 1_700_000_000_000_000_000;
+    const MS: Nanos = 1_000_000;
+    let geodetic = [48.0, 11.0, 500.0];
+    let origin = MapOrigin::new(geodetic).expect("a place on the Earth");
+    let vehicle = AgentInfo {
+        name: "car".into(),
+        kind: AgentKind::Vehicle,
+        footprint: None,
+        sensor: String::new(),
+        sensor_position: None,
+    };
+    let info = LogInfo {
+        map_origin: Some(geodetic),
+        ..LogInfo::new("two sweeps of another maker", vec![vehicle])
+    };
+    let mut log = LogWriter::create(path, &info).expect("a log");
+    for sensor in [IMU_FRAME, ANTENNA_FRAME] {
+        let written = log.mount("car", START, &sensor_frame("car", sensor), &Isometry3::identity());
+        written.expect("a mount is written");
+    }
+    let up = map_from_body.rotation.inverse() * Vector3::z() * 9.81;
+    for k in 0..800 {
+        let stamp = START + k * 10 * MS;
+        // What noise a unit has: a saw, which is never twice the same within a second.
+        let noise = |step: Nanos| ((k * step) % 101 - 50) as f64 / 50.0;
+        let imu = ImuReading {
+            angular_rate: [1e-3 * noise(37), 1e-3 * noise(41), 1e-3 * noise(43)],
+            specific_force: (up + 0.01 * Vector3::new(noise(47), noise(53), noise(59))).into(),
+            variance: Some([1e-6, 1e-4]),
+        };
+        log.imu("car", stamp, stamp + MS, &imu).expect("a sample is written");
+        if k % 10 == 0 {
+            let off = Vector3::new(2.0 * noise(61), 2.0 * noise(67), 2.0 * noise(71));
+            let fix = FixReading {
+                quality: Some(FixQuality::Single),
+                geodetic: origin.from_map((map_from_body.translation.vector + off).into()),
+                covariance: Some([2.0, 0.0, 0.0, 0.0, 2.0, 0.0, 0.0, 0.0, 2.0]),
+            };
+            log.fix("car", stamp, stamp + MS, &fix).expect("a fix is written");
+        }
+        let state = AgentState {
+            map_from_body: *map_from_body,
+            covariance: None,
+            velocity: None,
+            angular_rate: None,
+            status: PoseStatus::Recorded,
+        };
+        log.pose("car", stamp, stamp + MS, &state).expect("a pose is written");
+        log.pose_truth("car", stamp, stamp + MS, &state)
+            .expect("a pose is written");
+        if k % 50 == 0 {
+            log.cloud("car", stamp, stamp + 100 * MS, cloud)
+                .expect("a sweep is written");
+        }
+    }
+    log.finish().expect("a whole log");
+}
+
+#[test]
+fn sweeps_of_another_maker_are_placed_on_their_map() {
+    let Some(scans::Pair {
+        source,
+        target,
+        target_from_source,
+    }) = scans::pair()
+    else {
+        return;
+    };
+    let folder = folder("localization-pair");
+    let [mapped, log] = ["target.mcap", "source.mcap"].map(|name| folder.join(name));
+    standing(&mapped, &target, &Isometry3::identity());
+    standing(&log, &source, &target_from_source);
+    let map = map(&mapped, &folder.join("target.map"));
+    let more = ["--localization", "map", "--map", &map, "--ego", "car"];
+    let result = run_virtual("localization-scans", "no_fusion", &log, &more);
+    let number = |path: &str| {
+        let found = result.pointer(&format!("/localization/car{path}"));
+        found.and_then(Value::as_f64).unwrap_or(f64::NAN)
+    };
+    let all = &result["localization"];
+    assert!(number("/availability") >= 0.5, "{all}");
+    // As far as methods agree on this pair.
+    assert!(number("/position_m/p95") <= 0.05, "{all}");
+    assert!(number("/heading_deg/p95") <= 0.5, "{all}");
 }

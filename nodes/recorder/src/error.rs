@@ -17,4 +17,12 @@ pub enum RecorderError {
     /// A report that no log has.
     #[error("a log takes no report of topic `{0}` ({1})")]
     Topic(Name, Box<Header>),
+    /// A place on the Earth that is none.
+    #[error("setting `like`: {}: `map_origin`: {}", .0.display(), .1)]
+    Origin(PathBuf, String),
+    /// Positions of a receiver in a map that is nowhere.
+    #[error(
+        "positions of a satellite receiver ({0}), and no place of the map on the Earth; name a log whose record has `map_origin` in `like`"
+    )]
+    NoOrigin(Box<Header>),
 }

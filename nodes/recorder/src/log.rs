@@ -3,13 +3,15 @@
 //! Stamps and ready times are those of the messages. The file grows at least every half second of log time: that of a run that
 //! was killed can be read.
 
+mod motion;
+
 use std::path::PathBuf;
 
 use crate::RecorderError;
-use realo_logs::{AgentInfo, AgentKind, Log, LogInfo, LogWriter, PeerClock, refuse_foreign};
+use realo_logs::{AgentInfo, AgentKind, Log, LogInfo, LogWriter, MapOrigin, PeerClock, refuse_foreign};
 use realo_operator::{Books, Describe, Error, Inputs, NoOutput, Settings, Sink};
 use realo_schemas::report::{self, Peer, from_report};
-use realo_schemas::{AgentState, Boxes, GroundTruth, Header, Nanos, PointCloud, Report};
+use realo_schemas::{AgentState, Boxes, GroundTruth, Header, Motion, Nanos, PointCloud, Report};
 use serde::{Deserialize, Serialize};
 
 /// Settings of the log recorder.
@@ -38,6 +40,7 @@ pub struct Settings {
 pub struct LogRecorder {
     agent: String,
     points: bool,
+    origin: Option<MapOrigin>,
     log: Option<LogWriter>,
 }
 
@@ -50,6 +53,9 @@ pub enum Input {
     /// What it believes of its pose.
     #[port(of(Ego))]
     Poses(Header, AgentState),
+    /// What its motion sensors measured.
+    #[port(optional, of(Ego))]
+    Motion(Header, Motion),
     /// Detections that were recorded with the sweeps.
     #[port(optional, of(Ego))]
     Recorded(Header, Boxes),
@@ -68,7 +74,9 @@ impl Sink for LogRecorder {
             std::fs::create_dir_all(folder).map_err(|error| RecorderError::Folder(folder.into(), error))?;
         }
         refuse_foreign(&settings.path)?;
+        let origin = info.map_origin.map(MapOrigin::new).transpose();
         Ok(LogRecorder {
+            origin: origin.map_err(|reason| RecorderError::Origin(settings.like.clone(), reason))?,
             log: Some(LogWriter::create(&settings.path, &info)?),
             agent: settings.agent,
             points: settings.points,
@@ -85,6 +93,9 @@ impl Sink for LogRecorder {
                 false => log.sweep(&self.agent, stamp, ready)?,
             },
             Input::Poses(Header { stamp, ready, .. }, state) => log.pose(&self.agent, stamp, ready, &state)?,
+            Input::Motion(header, motion) => {
+                motion::write(log, &self.agent, &header, &motion, self.origin.as_ref())?;
+            }
             Input::Recorded(Header { stamp, ready, .. }, boxes) => log.detections(&self.agent, stamp, ready, &boxes)?,
             Input::Truth(Header { stamp, ready, .. }, truth) => {
                 let (agent, points) = (&self.agent, own_points(&truth, &self.agent));

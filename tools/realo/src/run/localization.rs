@@ -35,7 +35,8 @@ impl PoseSource {
         (PoseSource::Gnss, "gnss", "estimated from IMU, GNSS and wheels"),
     ];
 
-    fn name(self) -> &'static str {
+    /// As it is written.
+    pub fn name(self) -> &'static str {
         let of = PoseSource::ALL.iter().find(|(source, ..)| *source == self);
         of.map_or("", |(_, name, _)| name)
     }

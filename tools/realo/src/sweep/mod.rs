@@ -27,7 +27,7 @@ pub struct Args {
     #[arg(required = true)]
     pub graphs: Vec<PathBuf>,
     /// SETTING=VALUE,VALUE…; several are crossed. A setting is STAGE.KEY, link.KEY, simulator.KEY (a log is made for each value),
-    /// protocol, link, model, project, coop, agents, seed or compute
+    /// protocol, link, model, project, localization, coop, agents, seed or compute
     #[arg(long, required = true)]
     pub vary: Vec<Vary>,
     /// Logs to play, over which scores are pooled [default: the demo log, made on first use]

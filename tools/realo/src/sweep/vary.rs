@@ -4,19 +4,27 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use eyre::{Result, WrapErr, bail, eyre};
+use eyre::{Result, WrapErr, bail};
 use realo_operator::config::{did_you_mean, nearest_name};
 use realo_player::Coop;
 use realo_stages::Project;
 
-use crate::run;
+use crate::run::{self, PoseSource};
 
 /// Begins the settings of the links' profile, and of the world.
 const LINK: &str = "link.";
 const WORLD: &str = "simulator.";
 /// Options of a run that can be varied.
-const OPTIONS: [&str; 8] = [
-    "link", "protocol", "model", "project", "coop", "agents", "seed", "compute",
+const OPTIONS: [&str; 9] = [
+    "link",
+    "protocol",
+    "model",
+    "project",
+    "localization",
+    "coop",
+    "agents",
+    "seed",
+    "compute",
 ];
 /// Joins words in one value.
 const AND: char = '+';
@@ -111,17 +119,9 @@ pub fn combinations(all: &[Vary]) -> Vec<Vec<String>> {
 /// # Errors
 /// A value that the option does not take.
 pub fn apply(all: &[Vary], values: &[String], profile: &str, args: &mut run::Args) -> Result<()> {
-    for (Vary { name, .. }, value) in all.iter().zip(values) {
+    for (vary @ Vary { name, .. }, value) in all.iter().zip(values) {
         let choices = &mut args.choices;
         let word = || format!("--vary {name}={value}");
-        let one_of = |known: &[&str]| {
-            let hint = did_you_mean(&nearest_name(value, known.iter().copied()));
-            eyre!(
-                "{}: expected one of {}, found `{value}`{hint}",
-                word(),
-                known.join(", ")
-            )
-        };
         if name.starts_with(WORLD) {
             continue;
         }
@@ -138,20 +138,37 @@ pub fn apply(all: &[Vary], values: &[String], profile: &str, args: &mut run::Arg
             "compute" => args.compute = Some(PathBuf::from(value)),
             "seed" => choices.seed = Some(value.parse().wrap_err_with(word)?),
             "agents" => args.agents = value.split(AND).map(str::to_string).collect(),
-            "project" => {
-                let known = Project::ALL.iter().find(|(_, known, _)| known == value);
-                let names: Vec<&str> = Project::ALL.iter().map(|(_, known, _)| *known).collect();
-                choices.project = Some(known.ok_or_else(|| one_of(&names))?.0);
-            }
-            "coop" => {
-                let known = Coop::RESTRICTED.iter().find(|(_, known, _)| known == value);
-                let names: Vec<&str> = Coop::RESTRICTED.iter().map(|(_, known, _)| *known).collect();
-                args.coop = Some(known.ok_or_else(|| one_of(&names))?.0);
+            "project" => choices.project = Some(one_of(Project::ALL, name, value)?),
+            "coop" => args.coop = Some(one_of(Coop::RESTRICTED, name, value)?),
+            "localization" => {
+                let source = one_of(PoseSource::ALL, name, value)?;
+                choices.localization = Some(source);
+                // One map serves all values; points that look at none are not asked for it.
+                let others_look = vary.values.iter().any(|value| value == PoseSource::Map.name());
+                if source != PoseSource::Map && others_look {
+                    choices.map = None;
+                }
             }
             _ => choices.set.push(format!("{name}={value}")),
         }
     }
     Ok(())
+}
+
+/// The one of this name.
+///
+/// # Errors
+/// A name that none has, with the nearest.
+fn one_of<T: Copy>(all: &[(T, &str, &str)], name: &str, value: &str) -> Result<T> {
+    let names = || all.iter().map(|(_, name, _)| *name);
+    match all.iter().find(|(_, name, _)| *name == value) {
+        Some((found, ..)) => Ok(*found),
+        None => bail!(
+            "--vary {name}={value}: expected one of {}, found `{value}`{}",
+            names().collect::<Vec<_>>().join(", "),
+            did_you_mean(&nearest_name(value, names()))
+        ),
+    }
 }
 
 /// The settings of the world in a combination, with those of which a value joins several by `+`: they are one point.
@@ -210,6 +227,29 @@ mod tests {
             let error = text.parse::<Vary>().unwrap_err();
             assert!(error.contains(expected), "{text}: {error}");
         }
+    }
+
+    #[test]
+    fn a_map_is_for_points_that_look_at_it() {
+        let all = [vary("localization=recorded,map,gnss")];
+        #[derive(clap::Parser)]
+        struct Line {
+            #[command(flatten)]
+            args: run::Args,
+        }
+        let chosen = |value: &str| {
+            let line = ["realo", "late_fusion", "--map", "a.map"];
+            let mut args = <Line as clap::Parser>::parse_from(line).args;
+            apply(&all, &[value.into()], "", &mut args).map(|()| (args.choices.localization, args.choices.map))
+        };
+        let map = Some(PathBuf::from("a.map"));
+        assert_eq!(chosen("map").unwrap(), (Some(PoseSource::Map), map));
+        assert_eq!(chosen("gnss").unwrap(), (Some(PoseSource::Gnss), None));
+        let error = chosen("mpa").unwrap_err().to_string();
+        assert!(
+            error.contains("--vary localization=mpa") && error.contains("did you mean `map`?"),
+            "{error}"
+        );
     }
 
     #[test]
