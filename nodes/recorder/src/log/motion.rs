@@ -175,7 +175,7 @@ mod tests {
             .accept(Input::Motion(header(Kind::Motion), motion.clone()))
             .unwrap();
         recorder
-            .accept(Input::Clouds(header(Kind::PointCloud), PointCloud::default()))
+            .accept(Input::Clouds(header(Kind::Points), PointCloud::empty()))
             .unwrap();
         recorder.finish(&Books::default()).unwrap();
 
