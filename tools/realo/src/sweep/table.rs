@@ -479,7 +479,7 @@ impl fmt::Display for Turn {
             Turn::Never => f.write_str("never"),
             Turn::Everywhere => f.write_str("everywhere"),
             Turn::AtFirst => f.write_str("at the first value, not everywhere"),
-            Turn::Between(one, other, None) => write!(f, "between {one} and {other}"),
+            Turn::Between(_, other, None) => write!(f, "at {other}"),
             Turn::Between(one, other, Some(place)) => {
                 write!(f, "at about {} (between {one} and {other})", rounded(*place))
             }
