@@ -11,6 +11,8 @@ mod maps;
 mod python;
 #[path = "plugins/ray.rs"]
 mod ray;
+#[path = "plugins/torch.rs"]
+mod torch;
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
