@@ -6,6 +6,7 @@ realo. Rows run along y, columns along x; metres; boxes are x, y, z, length, wid
 """
 
 import math
+import pickle
 import sys
 from pathlib import Path
 
@@ -207,23 +208,41 @@ def in_frame_of(ego_from_sender, feature_map):
 
 def loaded(module, weights, device="auto"):
     """A module with its part of the weights of a `.safetensors` file or of a checkpoint (`.pth`), on a device."""
-    path = Path(weights)
+    state = state_of(Path(weights))
+    prefixes = tuple(f"{name}." for name, _ in module.named_children())
+    own = {key: value for key, value in state.items() if key.startswith(prefixes)}
+    try:
+        module.load_state_dict(own, strict=True)
+    except RuntimeError as error:
+        raise ValueError(f"{weights}: its tensors are not those of the network: {error}") from None
+    return module.eval().requires_grad_(False).to(device_named(device))
+
+
+def state_of(path):
+    """The tensors of a file by name."""
+    if not path.is_file():
+        raise ValueError(f"setting `weights`: expected a file, found `{path}`; the path is relative to the graph's folder")
+    with path.open("rb") as file:
+        if file.read(23) == b"version https://git-lfs":
+            raise ValueError(f"{path}: expected weights, found a pointer of Git LFS: `git lfs pull` fetches them")
     if path.suffix == ".safetensors":
         from safetensors.torch import load_file
 
-        state = load_file(path)
-    else:
+        return load_file(path)
+    try:
         # `weights_only`: what is in the file is read, never run.
         state = torch.load(path, map_location="cpu", weights_only=True)
-        state = state.get("state_dict", state)
-    prefixes = tuple(f"{name}." for name, _ in module.named_children())
-    module.load_state_dict({key: value for key, value in state.items() if key.startswith(prefixes)}, strict=True)
-    return module.eval().requires_grad_(False).to(device_named(device))
+    except (pickle.UnpicklingError, RuntimeError, EOFError) as error:
+        expected = "expected the state dict of a network, as torch.save(model.state_dict(), FILE) writes it"
+        raise ValueError(f"{path}: {expected}: {str(error).splitlines()[0]}") from None
+    return state.get("state_dict", state)
 
 
 def device_named(name):
     """`cpu`, `cuda`, or `auto`: the GPU if PyTorch finds one."""
-    if name == "auto":
-        name = "cuda" if torch.cuda.is_available() else "cpu"
+    known = ("cpu", "cuda") if torch.cuda.is_available() else ("cpu",)
+    if name != "auto" and name not in known:
+        raise ValueError(f"setting `device`: expected auto or {' or '.join(known)}, found `{name}`")
+    name = known[-1] if name == "auto" else name
     print(f"torch {torch.__version__} on {name}", file=sys.stderr)
     return torch.device(name)

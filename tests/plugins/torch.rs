@@ -111,7 +111,13 @@ fn torch_plugins_find_the_boxes_of_a_plain_script() {
     let found = proposals(&bin, "torch_graph", &script("torch_attfuse.yml"), &more);
 
     let [plain, clouds] = [folder("torch_plain"), clouds].map(|path| path.to_string_lossy().into_owned());
-    run_script(&bin, &[&script("torch_script.py"), WEIGHTS, &clouds, "cav1", &plain]);
+    let checkpoint = format!("{clouds}/net.pth");
+    let save = "import sys, torch; from safetensors.torch import load_file; torch.save({'state_dict': load_file(sys.argv[1])}, sys.argv[2])";
+    run_script(&bin, &["-c", save, WEIGHTS, &checkpoint]);
+    run_script(
+        &bin,
+        &[&script("torch_script.py"), &checkpoint, &clouds, "cav1", &plain],
+    );
     let same = compared(&bin, &found, Path::new(&plain));
     assert_eq!(same["equal"], true, "{same}");
     assert_near(&same);
@@ -127,6 +133,44 @@ fn torch_plugins_find_what_the_shipped_network_finds() {
     assert_near(&compared(&bin, &found, &expected));
     let links = |boxes: &Path| json(&boxes.with_file_name("result.json"))["links"].clone();
     assert_eq!(links(&found), links(&expected));
+}
+
+#[test]
+fn weights_that_are_none_are_refused_before_the_first_message() {
+    let Some(bin) = with_torch() else {
+        return;
+    };
+    let dir = folder("torch_refused");
+    let write = |name: &str, bytes: &[u8]| {
+        std::fs::write(dir.join(name), bytes).expect("it can be written");
+        dir.join(name).display().to_string()
+    };
+    let whole = format!("{}/whole.pth", dir.display());
+    let save = "import sys, torch; torch.save(torch.nn.Linear(2, 2), sys.argv[1])";
+    run_script(&bin, &["-c", save, &whole]);
+    let other = format!("{}/other.pth", dir.display());
+    let save = "import sys, torch; torch.save(torch.nn.Linear(2, 2).state_dict(), sys.argv[1])";
+    run_script(&bin, &["-c", save, &other]);
+    let cases = [
+        (
+            "nowhere.pth".into(),
+            "setting `weights`: expected a file, found `nowhere.pth`",
+        ),
+        (
+            write("p.pth", b"version https://git-lfs.github.com/spec/v1\n"),
+            "git lfs pull",
+        ),
+        (write("text.pth", b"text"), "expected the state dict of a network"),
+        (whole, "expected the state dict of a network"),
+        (other, "its tensors are not those of the network"),
+    ];
+    for (weights, expected) in cases {
+        let stage = format!("fusion.head=program {} weights={weights}", script("torch_head.py"));
+        let words = ["validate", &shipped("attfuse"), "--replace", &stage].map(String::from);
+        let output = python::with(&bin, common::REALO, &words);
+        let said = text(&output.stderr);
+        assert!(!output.status.success() && said.contains(expected), "{weights}: {said}");
+    }
 }
 
 #[test]

@@ -42,8 +42,10 @@ pub const SCORES: Wanted = Wanted::floats("scores", &["boxes", "classes"]);
 pub const OUTPUTS: &[Wanted] = &[BOXES, SCORES];
 
 /// Counts boxes beyond the best.
-pub const OVER_LIMIT_BOXES: Counter =
-    Counter::plain("over_limit_boxes", "detections above the min score, but not among the best 1,000");
+pub const OVER_LIMIT_BOXES: Counter = Counter::plain(
+    "over_limit_boxes",
+    "detections above the min score, but not among the best 1,000",
+);
 /// Counts boxes that no object can have.
 pub const INVALID_BOXES: Counter = Counter::loss(
     "invalid_boxes",
@@ -122,7 +124,9 @@ impl Decoder {
         best.truncate(MOST);
         let all = best.len();
         let boxes = boxes.as_chunks::<7>().0;
-        let boxed = best.into_iter().map(|(score, index, class)| self.boxed(&boxes[index], score, class));
+        let boxed = best
+            .into_iter()
+            .map(|(score, index, class)| self.boxed(&boxes[index], score, class));
         let boxes: Vec<Box3> = boxed.filter(is_valid).collect();
         Ok(Decoded {
             over_limit,
@@ -137,8 +141,13 @@ impl Decoder {
             Order::Lwh => [a, width, b],
             Order::Hwl => [b, width, a],
         };
-        let name = &self.settings.classes[class];
-        let object = Box3::new(name, [x, y, z + self.height], [length, width, height], normalize_yaw(yaw));
+        let name = self.settings.classes[class].as_str();
+        let object = Box3::new(
+            name,
+            [x, y, z + self.height],
+            [length, width, height],
+            normalize_yaw(yaw),
+        );
         Box3 { score, ..object }
     }
 }

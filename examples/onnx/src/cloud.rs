@@ -50,10 +50,15 @@ pub const EMPTY_SWEEPS: Counter = Counter::log_fault(
     "points are expected in metres, in the body frame of their agent; the setting `range` is the network's grid",
 );
 /// Counts points that no pillar takes.
-pub const OVER_POINTS: Counter = Counter::plain("over_points", "points left out: they came after the last that their pillar takes");
+pub const OVER_POINTS: Counter = Counter::plain(
+    "over_points",
+    "points left out: they came after the last that their pillar takes",
+);
 /// Counts points outside the grid, or not finite.
-pub const OUT_OF_RANGE_POINTS: Counter =
-    Counter::plain("out_of_range_points", "points left out: outside the network's grid, or not finite");
+pub const OUT_OF_RANGE_POINTS: Counter = Counter::plain(
+    "out_of_range_points",
+    "points left out: outside the network's grid, or not finite",
+);
 /// Counts points of pillars beyond the last.
 pub const OVER_PILLARS: Counter = Counter::loss(
     "over_pillars",
@@ -102,7 +107,11 @@ impl Reader {
 
     /// The inputs of a sweep in the body frame.
     pub fn read(&mut self, cloud: &PointCloud) -> Sweep {
-        let Cloud { intensity, lidar_height, .. } = self.settings;
+        let Cloud {
+            intensity,
+            lidar_height,
+            ..
+        } = self.settings;
         let seen: Vec<f32> = match intensity {
             true => cloud.intensity.iter().map(|value| f32::from(*value) / 255.0).collect(),
             false => Vec::new(),
@@ -131,7 +140,11 @@ impl Reader {
         };
         let inside = |point: &[f32; 4]| {
             let above = [x, y, z].iter().zip(point).all(|(low, number)| number > low);
-            above && [far_x, far_y, far_z].iter().zip(point).all(|(high, number)| number < high)
+            above
+                && [far_x, far_y, far_z]
+                    .iter()
+                    .zip(point)
+                    .all(|(high, number)| number < high)
         };
         let kept: Vec<[f32; 4]> = (0..points.x.len()).map(at).filter(inside).collect();
         Sweep {
@@ -175,7 +188,10 @@ impl Reader {
 fn grid(settings: &Cloud) -> Result<Grid, String> {
     let [x, y, z, far_x, far_y, far_z] = settings.range;
     let spans = [far_x - x, far_y - y, far_z - z];
-    if !spans.iter().all(|span| span.is_finite() && *span > 0.0 && *span < 10_000.0) {
+    if !spans
+        .iter()
+        .all(|span| span.is_finite() && *span > 0.0 && *span < 10_000.0)
+    {
         return Err(format!(
             "setting `range`: expected lower x, y, z and upper x, y, z, found {:?}",
             settings.range
@@ -205,7 +221,9 @@ fn coordinates(network: &Network, settings: &Cloud) -> Result<usize, String> {
                 && fixed != settings.max_points
             {
                 let asked = settings.max_points;
-                return Err(format!("expected `max_points={fixed}`, as `voxels` has them, found {asked}"));
+                return Err(format!(
+                    "expected `max_points={fixed}`, as `voxels` has them, found {asked}"
+                ));
             }
             match network.fixed_input(VOXEL_COORDS.name, 0) {
                 None => Ok(4),
@@ -213,7 +231,9 @@ fn coordinates(network: &Network, settings: &Cloud) -> Result<usize, String> {
                 Some(n) => Err(format!("expected {VOXEL_COORDS}, found {n} numbers a pillar")),
             }
         }
-        _ => Err(format!("expected {POINTS}, or {VOXELS} and {VOXEL_COORDS}, with {VOXEL_NUM_POINTS} or without")),
+        _ => Err(format!(
+            "expected {POINTS}, or {VOXELS} and {VOXEL_COORDS}, with {VOXEL_NUM_POINTS} or without"
+        )),
     }
 }
 

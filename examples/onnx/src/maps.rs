@@ -102,7 +102,10 @@ mod tests {
         let numbers: Vec<f32> = (0..size.iter().product()).map(|at: usize| at as f32).collect();
         let turned = planes(&numbers, size);
         let [rows, columns, channels] = size;
-        assert_eq!(turned[2 * rows * columns + 3 * columns + 4], numbers[(3 * columns + 4) * channels + 2]);
+        assert_eq!(
+            turned[2 * rows * columns + 3 * columns + 4],
+            numbers[(3 * columns + 4) * channels + 2]
+        );
         assert_eq!(cells(&turned, [channels, rows, columns]), numbers);
     }
 }

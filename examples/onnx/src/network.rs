@@ -150,7 +150,11 @@ impl Network {
     pub fn load(settings: &Onnx, inputs: &[Wanted], outputs: &[Wanted]) -> Result<Self, NetworkError> {
         let path = settings.model.clone();
         let bytes = read(&path)?;
-        let identity: String = Sha256::digest(&bytes).iter().take(6).map(|byte| format!("{byte:02x}")).collect();
+        let identity: String = Sha256::digest(&bytes)
+            .iter()
+            .take(6)
+            .map(|byte| format!("{byte:02x}"))
+            .collect();
         let mut options = ModelOptions::with_all_ops();
         options.prepack_weights(true);
         // The loader finds by the path what a file keeps in a second one.
@@ -235,10 +239,8 @@ impl Network {
             Some((bound.id, ValueOrView::from(input.value(bound))))
         });
         let wanted = outputs.map(|name| self.outputs[name].id);
-        let options = RunOptions {
-            thread_pool: Some(self.pool.clone()),
-            ..RunOptions::default()
-        };
+        let mut options = RunOptions::default();
+        options.thread_pool = Some(self.pool.clone());
         let made = self.model.run(given.collect(), &wanted, Some(options));
         let made = made.map_err(|error| failed(error.to_string()))?;
         let tensors = made.into_iter().zip(outputs).map(|(value, name)| {
@@ -247,7 +249,9 @@ impl Network {
             floats.map_err(|_| failed(format!("output `{name}`: expected float32, found {found}")))
         });
         let tensors: Vec<Tensor<f32>> = tensors.collect::<Result<_, _>>()?;
-        Ok(tensors.try_into().unwrap_or_else(|_| unreachable!("one for each output")))
+        Ok(tensors
+            .try_into()
+            .unwrap_or_else(|_| unreachable!("one for each output")))
     }
 
     /// The numbers of an output, and its dimensions without those of 1 before the last `rank`.
@@ -314,7 +318,11 @@ fn read(path: &Path) -> Result<Vec<u8>, NetworkError> {
     }
     let mut bytes = Vec::new();
     let opened = std::fs::File::open(path).and_then(|mut file| file.read_to_end(&mut bytes));
-    opened.map_err(|error| refused(format!("cannot be read: {error}; the path is relative to the graph's folder")))?;
+    opened.map_err(|error| {
+        refused(format!(
+            "cannot be read: {error}; the path is relative to the graph's folder"
+        ))
+    })?;
     if bytes.starts_with(POINTER) {
         let reason = "expected an ONNX file, found a pointer of Git LFS: `git lfs pull` fetches the file itself";
         return Err(refused(reason.into()));
@@ -323,7 +331,10 @@ fn read(path: &Path) -> Result<Vec<u8>, NetworkError> {
         let reason = "expected an ONNX file, found a checkpoint of PyTorch: export the network by torch.onnx.export";
         return Err(refused(reason.into()));
     }
-    if !path.extension().is_some_and(|ending| ending.eq_ignore_ascii_case("onnx")) {
+    if !path
+        .extension()
+        .is_some_and(|ending| ending.eq_ignore_ascii_case("onnx"))
+    {
         return Err(refused("expected a file that ends in .onnx".into()));
     }
     Ok(bytes)
@@ -342,7 +353,9 @@ impl Names {
             };
             if !known.contains(&ours) {
                 let known = known.join(", ");
-                return Err(NetworkError::Names(format!("expected one of {known} before the colon, found `{ours}`")));
+                return Err(NetworkError::Names(format!(
+                    "expected one of {known} before the colon, found `{ours}`"
+                )));
             }
             if names.insert(ours.to_string(), theirs.to_string()).is_some() {
                 return Err(NetworkError::Names(format!("`{ours}` is given twice: keep one")));
@@ -378,7 +391,11 @@ fn bind(
             if one.optional && theirs == one.name {
                 continue;
             }
-            let renamed = if theirs == one.name { String::new() } else { format!(" under the name `{theirs}`") };
+            let renamed = if theirs == one.name {
+                String::new()
+            } else {
+                format!(" under the name `{theirs}`")
+            };
             return Err(refused(format!(
                 "expected {one}{renamed}; the setting `names={}:THEIRS` says another name",
                 one.name
@@ -449,13 +466,25 @@ fn listed(model: &Model, ids: &[NodeId]) -> String {
         format!(
             "`{}`{}{}",
             name_of(model, *id),
-            shape.map(|shape| format!(" {}", shape_in_words(&shape))).unwrap_or_default(),
-            kind.map(|kind| format!(" of {kind}")).unwrap_or_default(),
+            shape
+                .map(|shape| format!(" {}", shape_in_words(&shape)))
+                .unwrap_or_default(),
+            kind.map(|kind| format!(" of {}", kind_in_words(kind)))
+                .unwrap_or_default(),
         )
     });
     match words.collect::<Vec<String>>() {
         none if none.is_empty() => "none".into(),
         words => words.join(", "),
+    }
+}
+
+/// A type as the ONNX file calls it; the runtime reads int64 and bool as int32, and float64 as float32.
+fn kind_in_words(kind: ValueType) -> String {
+    match kind {
+        ValueType::Tensor(DataType::Float) => "float32".into(),
+        ValueType::Tensor(DataType::Int32) => "int32 or int64".into(),
+        other => other.to_string(),
     }
 }
 

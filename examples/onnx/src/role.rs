@@ -29,8 +29,11 @@ impl Role {
     /// No role, or none of these.
     pub fn of_args(args: impl Iterator<Item = String>) -> Result<Role, String> {
         let known = Role::ALL.map(|role| format!("role={role}")).join(", ");
-        let named = args.into_iter().find_map(|arg| arg.strip_prefix("role=").map(str::to_string));
-        let named = named.ok_or_else(|| format!("expected what the file is to the graph, one of {known}; found no `role`"))?;
+        let named = args
+            .into_iter()
+            .find_map(|arg| arg.strip_prefix("role=").map(str::to_string));
+        let named =
+            named.ok_or_else(|| format!("expected what the file is to the graph, one of {known}; found no `role`"))?;
         let role = Role::ALL.into_iter().find(|role| role.to_string() == named);
         role.ok_or_else(|| format!("expected one of {known}, found `role={named}`"))
     }
@@ -57,7 +60,10 @@ mod tests {
         assert_eq!(of(&["model=a.onnx", "role=head"]), Ok(Role::Head));
         for args in [&["model=a.onnx"][..], &["role=heads"]] {
             let error = of(args).unwrap_err();
-            assert!(error.contains("role=encoder, role=fusion, role=head, role=detector"), "{error}");
+            assert!(
+                error.contains("role=encoder, role=fusion, role=head, role=detector"),
+                "{error}"
+            );
         }
     }
 }

@@ -122,7 +122,12 @@ impl Operator for Encoder {
 }
 
 /// The inputs of a sweep, with what was left out of it counted.
-fn read<O>(reader: &mut Reader, header: &Header, cloud: &PointCloud, out: &mut Outputs<O>) -> Vec<(&'static str, Tensor)> {
+fn read<O>(
+    reader: &mut Reader,
+    header: &Header,
+    cloud: &PointCloud,
+    out: &mut Outputs<O>,
+) -> Vec<(&'static str, Tensor)> {
     let Sweep {
         inputs,
         dropped,
@@ -192,7 +197,8 @@ impl Operator for Fusion {
         let [fused] = self.network.run(inputs.into(), [FEATURES.name])?;
         let (size, planes) = self.network.plain(&FEATURES, fused)?;
         if size[1..] != [rows, columns] {
-            let found = format!("expected {FEATURES} of {rows} rows and {columns} columns, as the ego's map, found {size:?}");
+            let found =
+                format!("expected {FEATURES} of {rows} rows and {columns} columns, as the ego's map, found {size:?}");
             return Err(self.network.output_error(found).into());
         }
         let fused = FeatureMap {
@@ -246,7 +252,13 @@ impl Operator for Head {
         let [rows, columns, channels] = map.size();
         let planes = maps::planes(&map.numbers()?, map.size());
         let features = Tensor::floats(&[1, channels, rows, columns], planes);
-        find(&self.network, &self.decoder, header, vec![(FEATURES.name, features)], out)
+        find(
+            &self.network,
+            &self.decoder,
+            header,
+            vec![(FEATURES.name, features)],
+            out,
+        )
     }
 }
 
@@ -269,7 +281,14 @@ pub struct DetectorSettings {
     pub detections: Detections,
 }
 
-const DETECTOR_COUNTERS: &[Counter] = &[EMPTY_SWEEPS, OUT_OF_RANGE_POINTS, OVER_POINTS, OVER_PILLARS, OVER_LIMIT_BOXES, INVALID_BOXES];
+const DETECTOR_COUNTERS: &[Counter] = &[
+    EMPTY_SWEEPS,
+    OUT_OF_RANGE_POINTS,
+    OVER_POINTS,
+    OVER_PILLARS,
+    OVER_LIMIT_BOXES,
+    INVALID_BOXES,
+];
 
 /// Finds boxes in sweeps by an ONNX file.
 #[derive(Describe)]

@@ -68,7 +68,9 @@ impl File {
     /// Adds a constant of whole numbers.
     pub fn whole(mut self, name: &str, numbers: &[i64]) -> Self {
         let raw: Vec<u8> = numbers.iter().flat_map(|number| number.to_le_bytes()).collect();
-        let tensor = Bytes::default().number(1, numbers.len() as u64).number(2, Kind::Int64 as u64);
+        let tensor = Bytes::default()
+            .number(1, numbers.len() as u64)
+            .number(2, Kind::Int64 as u64);
         self.graph = self.graph.inner(5, &tensor.text(8, name).inner(9, &raw).0);
         self
     }
@@ -81,7 +83,10 @@ impl File {
             let attribute = Bytes::default().text(1, name);
             let attribute = match numbers {
                 [one] if !["axes", "perm"].contains(name) => attribute.number(3, *one as u64).number(20, 2),
-                many => many.iter().fold(attribute, |attribute, n| attribute.number(8, *n as u64)).number(20, 7),
+                many => many
+                    .iter()
+                    .fold(attribute, |attribute, n| attribute.number(8, *n as u64))
+                    .number(20, 7),
             };
             node = node.inner(5, &attribute.0);
         }
@@ -109,5 +114,7 @@ fn port(name: &str, kind: Kind, dimensions: &[&str]) -> Bytes {
         shape.inner(1, &one.0)
     });
     let tensor = Bytes::default().number(1, kind as u64).inner(2, &shape.0);
-    Bytes::default().text(1, name).inner(2, &Bytes::default().inner(1, &tensor.0).0)
+    Bytes::default()
+        .text(1, name)
+        .inner(2, &Bytes::default().inner(1, &tensor.0).0)
 }

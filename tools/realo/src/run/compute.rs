@@ -37,7 +37,8 @@ pub fn profile(named: Option<&Path>, graph: &FlatGraph) -> Result<ComputeProfile
         None => Ok(ComputeProfile::default()),
         Some(name) if name == Path::new(PAPER) => paper(graph),
         Some(name) if is_measured(name) => Ok(ComputeProfile::as_measured()),
-        Some(path) => ComputeProfile::read(path).map_err(|error| eyre!(error)),
+        Some(path) => ComputeProfile::read(path)
+            .map_err(|error| eyre!("--compute: expected a file, `{PAPER}` or `{MEASURED}`: {error}")),
     }
 }
 
