@@ -44,6 +44,7 @@ fn shipped() -> Vec<PathBuf> {
         "dataflows",
         "examples/fusion_mean",
         "examples/fusion_nearest",
+        "examples/onnx",
         "examples/python",
     ];
     let entries = folders

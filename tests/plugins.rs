@@ -11,6 +11,8 @@ mod maps;
 mod python;
 #[path = "plugins/ray.rs"]
 mod ray;
+#[path = "plugins/torch.rs"]
+mod torch;
 
 use std::fs;
 use std::os::unix::fs::PermissionsExt;
@@ -122,6 +124,40 @@ fn a_rust_fusion_of_its_own_runs_beside_shipped_operators() {
         nearest.0, nearest.2, alone.0, alone.2
     );
     assert!(nearest.0 > alone.0, "cooperation finds more: {nearest:?} {alone:?}");
+}
+
+#[test]
+fn calls_that_are_measured_take_time_and_leave_a_profile_that_repeats() {
+    let _alone = alone();
+    let graph = shipped("late_fusion");
+    let measured = run(
+        "measured_virtual",
+        &graph,
+        &["--mode", "virtual", "--compute", "measured"],
+    );
+    assert_eq!(json(&measured.join("result.json"))["compute"], "measured");
+    let profile = measured.join("compute.toml");
+    let found = fs::read_to_string(&profile).expect("it leaves a profile");
+    let begin = "# Median duration of each stage's calls in a run in virtual time that measured them";
+    assert!(
+        found.starts_with(begin) && found.contains("[\"fusion.fusion\"]"),
+        "{found}"
+    );
+    let profile = profile.to_string_lossy();
+    let again = ["measured_again", "measured_once_more"].map(|out| {
+        let out = run(out, &graph, &["--mode", "virtual", "--compute", &profile]);
+        fs::read(out.join("result.json")).expect("there is a result")
+    });
+    assert!(again[0] == again[1], "its times are the same on every run");
+
+    let out = folder("measured_sweep").to_string_lossy().into_owned();
+    let sweep = ["sweep", "late_fusion", "--vary", "compute=measured,paper", "-o", &out];
+    let refused = realo(sweep);
+    let said = text(&refused.stderr);
+    assert!(
+        !refused.status.success() && said.contains("give the sweep the compute.toml"),
+        "{said}"
+    );
 }
 
 #[test]

@@ -297,6 +297,7 @@ pub fn account(seed: u64, world: &World, folder: &Path, results: bool) -> Result
     let mut asked: BTreeMap<u64, Nanos> = BTreeMap::new();
     let compute = ComputeProfile {
         nanos: world.compute.clone(),
+        ..ComputeProfile::default()
     };
     let observer = |node: &str, output: &str, message: &Message| match (node, output) {
         ("ego-nms", "boxes") | ("log", "ego_clouds") => {

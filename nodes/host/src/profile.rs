@@ -6,14 +6,24 @@ use serde::Serialize;
 
 /// How long each stage takes in virtual time.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
-#[serde(transparent)]
 pub struct ComputeProfile {
     /// ns per call, by `stage` or `stage.trigger`: the input that triggers the call or `wake`, with ` > OUTPUTS` behind it
     /// for calls that send something. What is not named takes no time.
     pub nanos: BTreeMap<String, Nanos>,
+    /// A call takes what it takes on this machine instead, on which the calls are made one by one. Then no run repeats another
+    /// to the bit.
+    pub measured: bool,
 }
 
 impl ComputeProfile {
+    /// What each call takes on this machine.
+    pub fn as_measured() -> Self {
+        ComputeProfile {
+            measured: true,
+            ..ComputeProfile::default()
+        }
+    }
+
     /// Reads a profile from TOML: `stage = ns`, or a table of triggers; dots may be written as tables.
     ///
     /// # Errors
@@ -29,7 +39,7 @@ impl ComputeProfile {
         let table: toml::Table = toml::from_str(&text).map_err(|error| format!("{shown}: {error}"))?;
         let mut nanos = BTreeMap::new();
         collect("", &table, &mut nanos).map_err(|problem| format!("{shown}: {problem}"))?;
-        Ok(ComputeProfile { nanos })
+        Ok(ComputeProfile { nanos, measured: false })
     }
 
     /// The profile as TOML, a table for each stage.

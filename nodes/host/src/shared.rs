@@ -95,8 +95,9 @@ impl Shared {
         let mut keys: Vec<Option<Key>> = Vec::new();
         for (index, stage) in stages.wiring.stages.iter().enumerate() {
             let text = match stage.registration.role {
-                Role::Operator | Role::Source => stages.arguments(index),
-                Role::Sink | Role::Gateway => None,
+                // A call that is repeated cannot be measured.
+                Role::Operator | Role::Source if !compute.measured => stages.arguments(index),
+                _ => None,
             };
             let upstream = stage.inputs.iter().map(|feed| match feed {
                 None => Some("-".to_string()),

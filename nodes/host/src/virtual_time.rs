@@ -84,7 +84,7 @@ pub enum Progress {
 /// # Errors
 /// [`RunError`] names the stage that could not be built or go on.
 pub fn run(stages: &Stages, compute: &ComputeProfile, observer: Option<Observer>) -> Result<Books, RunError> {
-    simulate(stages, Some(compute), observer, None, |_| {})
+    simulate(stages, compute, observer, None, |_| {})
 }
 
 /// As [`run`]; calls `watch` before each event, and before the results are written.
@@ -97,7 +97,7 @@ pub fn run_watched(
     observer: Option<Observer>,
     watch: impl FnMut(Progress),
 ) -> Result<Books, RunError> {
-    simulate(stages, Some(compute), observer, None, watch)
+    simulate(stages, compute, observer, None, watch)
 }
 
 /// As [`run_watched`]; a tap sees what it wants.
@@ -112,7 +112,7 @@ pub fn run_tapped(
 ) -> Result<Books, RunError> {
     let mut stages = stages.clone();
     stages.let_see(tap);
-    let simulation = Simulation::begin(&stages, Some(compute), None, None)?;
+    let simulation = Simulation::begin(&stages, compute, None, None)?;
     play(
         Simulation {
             tap: Some(tap),
@@ -123,7 +123,8 @@ pub fn run_tapped(
     )
 }
 
-/// As [`run_watched`], with calls in common with other runs; gives the same to the bit.
+/// As [`run_watched`], with calls in common with other runs; gives the same to the bit. Where calls are measured none is in
+/// common.
 ///
 /// # Errors
 /// As [`run`].
@@ -133,7 +134,7 @@ pub fn run_shared(
     shared: (&Shared, &Outline),
     watch: impl FnMut(Progress),
 ) -> Result<Books, RunError> {
-    simulate(stages, Some(compute), None, Some(shared), watch)
+    simulate(stages, compute, None, Some(shared), watch)
 }
 
 /// As [`run`], but a call takes in virtual time what it takes on this machine, on which the calls are made one by one. What
@@ -142,7 +143,7 @@ pub fn run_shared(
 /// # Errors
 /// As [`run`].
 pub fn measure(stages: &Stages, observer: Option<Observer>) -> Result<Books, RunError> {
-    simulate(stages, None, observer, None, |_| {})
+    simulate(stages, &ComputeProfile::as_measured(), observer, None, |_| {})
 }
 
 /// What the calls of a graph took on this machine over some frames.
@@ -180,7 +181,7 @@ pub fn pace(
         }
     });
     let compute = ComputeProfile::default();
-    let mut simulation = Simulation::begin(stages, Some(&compute), Some(observer), None)?;
+    let mut simulation = Simulation::begin(stages, &compute, Some(observer), None)?;
     let started = Instant::now();
     let (mut known, mut begun, mut found) = (0, None, None);
     while let Some(now) = simulation.due()? {
@@ -229,7 +230,7 @@ fn computed() -> Nanos {
 
 fn simulate(
     stages: &Stages,
-    compute: Option<&ComputeProfile>,
+    compute: &ComputeProfile,
     observer: Option<Observer>,
     shared: Option<(&Shared, &Outline)>,
     watch: impl FnMut(Progress),
@@ -271,8 +272,7 @@ struct Simulation<'a> {
     built: Vec<Option<Built>>,
     serving: Vec<Serving>,
     shared: Option<&'a Shared>,
-    /// `None`: as measured.
-    compute: Option<&'a ComputeProfile>,
+    compute: &'a ComputeProfile,
     observer: Option<Observer<'a>>,
     tap: Option<&'a Tap>,
     /// Time of the last event.
@@ -287,7 +287,7 @@ impl<'a> Simulation<'a> {
     /// Builds the stages, and asks sources for their first messages.
     fn begin(
         stages: &Stages,
-        compute: Option<&'a ComputeProfile>,
+        compute: &'a ComputeProfile,
         observer: Option<Observer<'a>>,
         shared: Option<(&'a Shared, &Outline)>,
     ) -> Result<Self, RunError> {
@@ -405,10 +405,10 @@ impl<'a> Simulation<'a> {
         let measured = Nanos::try_from(begun.elapsed().as_nanos()).unwrap_or(Nanos::MAX);
         self.took[ticket.stage] = self.took[ticket.stage].saturating_add(measured);
         let trigger = called.trigger(ticket.cause, registration);
-        let took = match self.compute {
+        let took = match self.compute.measured {
             _ if ticket.is_end() => 0,
-            Some(profile) => profile.of(self.engine.id(ticket.stage), &trigger),
-            None => measured,
+            true => measured,
+            false => self.compute.of(self.engine.id(ticket.stage), &trigger),
         };
         let done = ticket.start + took;
         self.engine.complete(&ticket, called, done, took)?;

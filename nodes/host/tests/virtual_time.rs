@@ -191,6 +191,13 @@ fn stage(word: &str, name: &str) -> &'static Registration {
 
 type Sent = Vec<(String, String, u64, Nanos)>;
 
+fn profile(nanos: BTreeMap<String, Nanos>) -> ComputeProfile {
+    ComputeProfile {
+        nanos,
+        ..ComputeProfile::default()
+    }
+}
+
 fn simulate(stages: &Stages, compute: &[(&str, Nanos)]) -> Result<(Sent, Books), RunError> {
     let nanos = compute.iter().map(|(key, nanos)| (key.to_string(), *nanos)).collect();
     let mut sent = Vec::new();
@@ -199,7 +206,7 @@ fn simulate(stages: &Stages, compute: &[(&str, Nanos)]) -> Result<(Sent, Books),
         let header = &message.header;
         sent.push((stage.into(), header.agent.to_string(), header.seq, header.ready));
     });
-    let books = virtual_time::run(stages, &ComputeProfile { nanos }, Some(observer))?;
+    let books = virtual_time::run(stages, &profile(nanos), Some(observer))?;
     Ok((sent, books))
 }
 
@@ -413,9 +420,7 @@ fn watched(run: impl FnOnce(&mut dyn FnMut(Progress)) -> Result<Books, RunError>
 
 #[test]
 fn runs_that_share_calls_give_the_same_as_runs_by_themselves() {
-    let compute = ComputeProfile {
-        nanos: [("echo".to_string(), 7), ("delay".to_string(), 250)].into(),
-    };
+    let compute = profile([("echo".to_string(), 7), ("delay".to_string(), 250)].into());
     let delays = ["delay=0", "delay=41", "delay=300", "delay=41"];
     let all = delays.map(|delay| late_delay("a,b", delay));
     let alone = all

@@ -1,4 +1,4 @@
-//! Compute profiles: of a realtime run, what its stages really took; of the paper, its inference times.
+//! Compute profiles: of a run, what its stages really took; of the paper, its inference times.
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
@@ -9,24 +9,26 @@ use realo_host::ComputeProfile;
 use realo_methods::Model;
 use realo_results::Run;
 
+use super::Mode;
 use super::nodes::{argument, decided_argument, deciding};
 use crate::{registry, roles};
 use realo_cli::paper::PaperTimes;
 
 /// Name of the profile that charges what the paper measured.
 const PAPER: &str = "paper";
-/// What a realtime run leaves.
+/// Name of the profile that charges what calls take on this machine while they are made.
+const MEASURED: &str = "measured";
+/// What a run leaves whose calls take time.
 pub const FILE: &str = "compute.toml";
-/// How it begins.
-pub const HEAD: &str =
-    "# Median duration of each stage's calls in a realtime run, ns. For `realo run --mode virtual --compute`.\n";
+/// How it begins, whichever run left it.
+pub const HEAD: &str = "# Median duration of each stage's calls in a ";
 
 /// Whether a run wrote a file of that name.
 pub fn is_of_run(text: &[u8]) -> bool {
     text.starts_with(HEAD.as_bytes())
 }
 
-/// The profile that is asked for: a file, or `paper`; without one computing takes no time.
+/// The profile that is asked for: a file, `paper` or `measured`; without one computing takes no time.
 ///
 /// # Errors
 /// A file that is no profile; `paper` for a graph without a network.
@@ -34,14 +36,40 @@ pub fn profile(named: Option<&Path>, graph: &FlatGraph) -> Result<ComputeProfile
     match named {
         None => Ok(ComputeProfile::default()),
         Some(name) if name == Path::new(PAPER) => paper(graph),
-        Some(path) => ComputeProfile::read(path).map_err(|error| eyre!(error)),
+        Some(name) if is_measured(name) => Ok(ComputeProfile::as_measured()),
+        Some(path) => ComputeProfile::read(path)
+            .map_err(|error| eyre!("--compute: expected a file, `{PAPER}` or `{MEASURED}`: {error}")),
     }
 }
 
+/// Whether a profile is what calls take on this machine while they are made.
+pub fn is_measured(named: &Path) -> bool {
+    named == Path::new(MEASURED)
+}
+
+/// Refuses to measure calls where several runs go on at a time.
+///
+/// # Errors
+/// If it is asked for.
+pub fn refuse_measured<'a>(mut named: impl Iterator<Item = &'a Path>) -> Result<()> {
+    if named.any(is_measured) {
+        bail!(
+            "--compute {MEASURED}: a sweep makes several runs at a time, so none has the machine to itself: measure once by `realo run \
+             --mode virtual --compute {MEASURED}`, and give the sweep the {FILE} that it leaves"
+        );
+    }
+    Ok(())
+}
+
 /// Writes `compute.toml`: the median duration of each stage's calls, by what triggered them.
-pub fn write(dir: &Path, run: &Run) -> Result<()> {
+pub fn write(dir: &Path, mode: Mode, run: &Run) -> Result<()> {
     let profile = ComputeProfile::to_toml(&run.timing.compute_ns);
-    std::fs::write(dir.join(FILE), format!("{HEAD}{profile}"))?;
+    let kind = match mode {
+        Mode::Realtime => "realtime run",
+        Mode::Virtual => "run in virtual time that measured them",
+    };
+    let head = format!("{HEAD}{kind}, ns. For `realo run --mode virtual --compute`.\n");
+    std::fs::write(dir.join(FILE), head + &profile)?;
     Ok(())
 }
 
@@ -73,6 +101,7 @@ fn paper(graph: &FlatGraph) -> Result<ComputeProfile> {
     };
     Ok(ComputeProfile {
         nanos: BTreeMap::from([(last.id.clone(), nanos)]),
+        ..ComputeProfile::default()
     })
 }
 

@@ -326,6 +326,8 @@ mod tests {
             ("dataflows/attfuse.roadside.yml", "sender"),
             ("examples/fusion_mean/fusion_mean.yml", "sender"),
             ("examples/python/mean_python.yml", "sender"),
+            ("examples/python/torch_attfuse.yml", "sender"),
+            ("examples/onnx/onnx_attfuse.yml", "sender"),
             ("dataflows/v2xvit.yml", "sender"),
             ("dataflows/early_fusion.yml", "receiver"),
         ] {

@@ -44,6 +44,7 @@ use folders::Folders;
 use view::View;
 
 pub(crate) use batch::count;
+pub(crate) use compute::refuse_measured;
 pub use dora::find as find_dora;
 pub(crate) use dora::on_this_machine as dora_on_this_machine;
 pub(crate) use limit::PERFECT;
@@ -89,7 +90,8 @@ pub struct Args {
     /// Only these agents take part
     #[arg(long, value_delimiter = ',')]
     pub agents: Vec<String>,
-    /// How long stages take in virtual time: a TOML file of stage = ns (a realtime run leaves a compute.toml), or `paper`
+    /// How long stages take in virtual time: a TOML file of stage = ns (a realtime run leaves a compute.toml), `paper`, or `measured`:
+    /// what each call takes on this machine, one at a time, which no run repeats exactly
     #[arg(long)]
     pub compute: Option<PathBuf>,
     /// Evaluation protocol: a name or a file [default: the log's]
@@ -194,6 +196,11 @@ impl Mode {
 }
 
 impl Args {
+    /// Whether the calls of a run take time of this machine, so that it leaves a compute profile.
+    fn leaves_profile(&self, mode: Mode) -> bool {
+        mode == Mode::Realtime || self.compute.as_deref().is_some_and(compute::is_measured)
+    }
+
     /// The driver that the options ask for.
     ///
     /// # Errors
@@ -340,7 +347,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
     let mut folders = Folders::default();
     for Planned { name, batch, .. } in &mut planned {
         folders.lock(&dir_of(args, name))?;
-        if mode == Mode::Realtime {
+        if args.leaves_profile(mode) {
             folders.claim_profile(&dir_of(args, name))?;
         }
         batch.claim(&mut folders, args.resume)?;
@@ -554,8 +561,8 @@ fn pool(
     pooled.result.ended_by = ended_by.map(|ending| ending.to_string());
     let dir = dir_of(args, name);
     realo_report::write_run(&dir, &pooled)?;
-    if mode == Mode::Realtime {
-        compute::write(&dir, &pooled).wrap_err_with(|| format!("{}", dir.display()))?;
+    if args.leaves_profile(mode) {
+        compute::write(&dir, mode, &pooled).wrap_err_with(|| format!("{}", dir.display()))?;
     }
     Ok(pooled)
 }

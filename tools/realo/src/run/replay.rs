@@ -40,7 +40,7 @@ enum Said {
     Ended(usize, Result<()>),
 }
 
-/// Runs all plans, several at a time; they do not know of each other. Gives how each ended. `view` shows one at a time.
+/// Runs all plans, several at a time unless calls are measured; they do not know of each other. Gives how each ended. `view` shows one at a time.
 ///
 /// # Errors
 /// A system without threads.
@@ -50,18 +50,17 @@ pub fn all(plans: &[&RunPlan], view: Option<&View>) -> Result<Vec<Result<()>>> {
     let (sender, said) = channel();
     let replays: Result<Vec<Replay>> = plans.iter().map(|plan| Replay::of(plan, view)).collect();
     let replays = replays?;
+    // Calls that are measured have the machine to themselves.
+    let one_by_one = plans.iter().any(|plan| plan.compute.measured);
     // Threads of their own: who waits here can leave a call that takes long.
-    let playing = std::thread::Builder::new().spawn(move || {
-        replays
+    let playing = std::thread::Builder::new().spawn(move || match one_by_one {
+        true => (0..)
+            .zip(replays)
+            .for_each(|(number, replay)| replay.play(number, &sender)),
+        false => replays
             .into_par_iter()
             .enumerate()
-            .for_each_with(sender, |sender, (number, replay)| {
-                let name = replay.name.clone();
-                let ended = catch_unwind(AssertUnwindSafe(|| replay.run(number, sender)));
-                let ended = ended.unwrap_or_else(|_| Err(panicked(&name)));
-                // After a signal nobody may listen any more.
-                let _ = sender.send(Said::Ended(number, ended));
-            });
+            .for_each_with(sender, |sender, (number, replay)| replay.play(number, sender)),
     });
     playing.map_err(signals::no_thread)?;
     let mut ended: Vec<Option<Result<()>>> = plans.iter().map(|_| None).collect();
@@ -208,6 +207,15 @@ impl Replay {
             seconds: plan.seconds,
             scene: view.map(|view| view.scene(plan, Mode::Virtual)).transpose()?,
         })
+    }
+
+    /// Runs it, and says how it ended.
+    fn play(self, number: usize, said: &Sender<Said>) {
+        let name = self.name.clone();
+        let ended = catch_unwind(AssertUnwindSafe(|| self.run(number, said)));
+        let ended = ended.unwrap_or_else(|_| Err(panicked(&name)));
+        // After a signal nobody may listen any more.
+        let _ = said.send(Said::Ended(number, ended));
     }
 
     fn run(self, number: usize, said: &Sender<Said>) -> Result<()> {

@@ -6,7 +6,7 @@ mod table;
 mod vary;
 mod worlds;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use clap::builder::RangedU64ValueParser;
 use eyre::{Result, bail};
@@ -108,6 +108,9 @@ fn graphs(args: &Args) -> Result<(Vec<PathBuf>, Vec<String>)> {
 pub fn main(args: &Args) -> Result<Outcome> {
     signals::catch(realo_host::virtual_time::end_all)?;
     vary::refuse_twice(&args.vary)?;
+    let varied = args.vary.iter().filter(|vary| vary.name == "compute");
+    let varied = varied.flat_map(|vary| vary.values.iter().map(Path::new));
+    run::refuse_measured(args.compute.iter().map(PathBuf::as_path).chain(varied))?;
     let has_world = args.vary.iter().any(|vary| vary.world().is_some());
     if has_world && !args.log.is_empty() {
         bail!("--vary simulator.…: a log is made for each value: drop --log");
