@@ -63,5 +63,5 @@ mod profile;
 pub use channel::{Arrivals, delay, transmit};
 pub use inline::{in_words, with_base};
 pub use medium::{Medium, Passed, Phase};
-pub use operator::{Link, Settings};
+pub use operator::{Link, Settings, in_reach};
 pub use profile::{BUILT_IN, Channel, Jitter, Model, Profile, ProfileError, files};

@@ -27,6 +27,12 @@ pub struct Settings {
     pub seed: u64,
 }
 
+/// Whether agents at two places, (x, y) in m, are in reach of each other: the range gate.
+pub fn in_reach(a: [f64; 2], b: [f64; 2], range_m: f64) -> bool {
+    let (dx, dy) = (a[0] - b[0], a[1] - b[1]);
+    dx * dx + dy * dy <= range_m * range_m
+}
+
 /// Packets of one sender that may wait for first positions; more are out of range and `unplaced`, the oldest first.
 const EARLY: usize = 16;
 
@@ -241,8 +247,7 @@ impl Link {
     /// Whether two agents are in reach of each other; `None` while a position is unknown.
     fn in_range(&self, from: &Name, to: &Name) -> Option<bool> {
         let ((_, a), (_, b)) = (self.fixes.get(from)?, self.fixes.get(to)?);
-        let (dx, dy) = (a[0] - b[0], a[1] - b[1]);
-        Some(dx * dx + dy * dy <= self.range_m * self.range_m)
+        Some(in_reach(*a, *b, self.range_m))
     }
 
     /// When a packet of so many bytes arrives, after it was sent; when it has left its sender, and what the sender knows then.

@@ -1,12 +1,13 @@
 //! Runs conformance vectors (inputs and expected outputs of the reference implementation) through the code that the
 //! graphs run: the geometry of `realo-schemas`, `realo-nms`, `realo-nn`, `realo-scoring`, the noise of `realo-localization`, the
-//! delays of `realo-link`.
+//! delays of `realo-link`; and frames of data sets through `realo-importer`, the player's plan and the feature bank.
 //!
 //! A folder of vectors has a `manifest.json` that lists its files with tolerance, configuration, and the tensors of a
 //! safetensors file or the keys of a JSON document. Those alone decide which check a vector goes through, whatever its
 //! name and size.
 
 mod boxes;
+mod dataset;
 mod evaluation;
 mod fusion;
 mod iou_nms;
@@ -128,8 +129,9 @@ impl Kind {
 }
 
 /// All kinds; no two take the same vector.
-const KINDS: [&[Kind]; 13] = [
+const KINDS: [&[Kind]; 14] = [
     boxes::KINDS,
+    dataset::KINDS,
     iou_nms::KINDS,
     evaluation::KINDS,
     pillars::KINDS,

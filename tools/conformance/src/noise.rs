@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 
 use realo_link::{Jitter, Model, delay};
 use realo_localization::{Mersenne, PoseNoise};
+use realo_schemas::Nanos;
 use serde::Deserialize;
 
 use crate::Kind;
@@ -80,13 +81,9 @@ fn noise(vector: &Vector) -> Result<(), String> {
         compare(&of("normal"), &normal, &stream.normal, t)?;
         compare(&of("uniform"), &uniform, &stream.uniform_after, t)?;
     }
-    let fixed = delay_sim.iter().map(|case| {
-        let model = Model {
-            fixed_ms: case.overhead_ms,
-            ..in_frames()
-        };
-        frames(&model, 0, 0.0)
-    });
+    let fixed = delay_sim
+        .iter()
+        .map(|case| in_whole_frames(delay_of_overhead(case.overhead_ms)));
     let expected: Vec<i64> = delay_sim.iter().map(|case| case.delay_frames).collect();
     equal("delay_sim", &fixed.collect::<Vec<_>>(), &expected)?;
     for (index, case) in delay_real.iter().enumerate() {
@@ -116,6 +113,15 @@ fn in_frames() -> Model {
     }
 }
 
+/// The delay of a constant number of ms over a link whose delays are whole frames, ns.
+pub(crate) fn delay_of_overhead(overhead_ms: f64) -> Nanos {
+    let model = Model {
+        fixed_ms: overhead_ms,
+        ..in_frames()
+    };
+    delay(&model, 0, 0.0, 0.0)
+}
+
 /// Delays of a constant part, one for the bytes, and one up to `overhead_ms` at random.
 fn drawn(case: &Drawn) -> Vec<i64> {
     let half = case.overhead_ms / 2.0;
@@ -135,5 +141,9 @@ fn drawn(case: &Drawn) -> Vec<i64> {
 }
 
 fn frames(model: &Model, bytes: usize, uniform: f64) -> i64 {
-    (delay(model, bytes, uniform, 0.0) as f64 / (FRAME_MS * 1e6)) as i64
+    in_whole_frames(delay(model, bytes, uniform, 0.0))
+}
+
+fn in_whole_frames(delay: Nanos) -> i64 {
+    (delay as f64 / (FRAME_MS * 1e6)) as i64
 }

@@ -30,7 +30,7 @@ pub(crate) const KINDS: &[Kind] = &[
 ];
 
 /// The reference's own body: x min, y min, x max, y max, m.
-const OWN_BODY: [f32; 4] = [-1.95, -1.1, 2.95, 1.1];
+pub(crate) const OWN_BODY: [f32; 4] = [-1.95, -1.1, 2.95, 1.1];
 
 pub(crate) fn points(tensors: &Tensors, name: &str) -> Result<Vec<[f32; 4]>, String> {
     let single = |row: [f64; 4]| row.map(|number| number as f32);

@@ -6,6 +6,9 @@ use crate::options::LabelSource;
 use crate::places::number;
 use crate::scene::{Scene, SceneAgent};
 
+/// That the layout has no place for which frames count.
+pub const SCORED: &str = "which frames are scored: read back, all are";
+
 /// What no layout of frames holds, of what the log has, a line each.
 pub fn of_frames(scene: &Scene) -> Vec<String> {
     let has = |stream: Stream| scene.agents.iter().any(|agent| scene.log.has(&agent.name, stream));
@@ -26,7 +29,6 @@ pub fn of_frames(scene: &Scene) -> Vec<String> {
             has(Stream::Pose) && has(Stream::PoseTruth),
             "poses that agents believed; the true ones are written",
         ),
-        (true, "which frames are scored: read back, all are"),
         labels_left,
         (has(Stream::Detections), "recorded detections"),
         (is_motion, "motion sensors"),

@@ -40,6 +40,13 @@ pub const OPTIONS: &[OptionInfo] = &[
         help: "Which boxes are an agent's labels: all objects, or what its own side labelled",
     },
     OptionInfo {
+        name: "motion",
+        value: "WHAT",
+        choices: &["removed", "kept"],
+        help: "Whether points are moved to where they are at the stamp, by the agent's motion during the sweep: the layout has no times \
+               of points",
+    },
+    OptionInfo {
         name: "height",
         value: "M",
         choices: &[],
@@ -71,6 +78,8 @@ pub struct Options {
     pub classes: Vec<String>,
     /// Which boxes are labels.
     pub labels: LabelSource,
+    /// Whether points stay as they were measured while the agent moved; else they are where they are at the stamp.
+    pub keeps_motion: bool,
     /// Height of all LiDARs over the ground, m; what the log says of each where `None`.
     pub height_m: Option<f64>,
 }
@@ -104,6 +113,9 @@ impl Options {
             ("classes", _) => self.classes = list()?.iter().map(|class| class.to_lowercase()).collect(),
             ("labels", "truth") => self.labels = LabelSource::Truth,
             ("labels", "own") => self.labels = LabelSource::Own,
+            ("motion", "removed") => self.keeps_motion = false,
+            ("motion", "kept") => self.keeps_motion = true,
+            ("motion", _) => return Err(expected("removed or kept")),
             ("labels", _) => return Err(expected("truth or own")),
             ("height", text) => {
                 let height = text.parse().ok().filter(|height| (0.0..=MOST_HEIGHT).contains(height));
@@ -131,6 +143,7 @@ mod tests {
             let (fine, wrong) = match info.name {
                 "height" => ("1.9", "high"),
                 "labels" => ("own", "all"),
+                "motion" => ("kept", "some"),
                 _ => ("cav1", ""),
             };
             options.set(info.name, fine).unwrap();

@@ -3,8 +3,9 @@
 use std::collections::{BTreeMap, BTreeSet};
 
 use nalgebra::{Isometry3, Point3, Translation3, Vector3};
+use realo_logs::boxes::BoxesInfo;
 use realo_logs::{AgentKind, Log, LogError, MAX_GAP, Stream, pose_track};
-use realo_schemas::geometry::{PoseTrack, tilt_degrees, transform_box};
+use realo_schemas::geometry::{Motion, PoseTrack, tilt_degrees, transform_box};
 use realo_schemas::{Box3, Boxes, Nanos, PointCloud};
 
 use crate::options::LabelSource;
@@ -65,6 +66,10 @@ pub struct Sweep {
     pub cloud: PointCloud,
     /// In the body frame, without the agent itself.
     pub boxes: Vec<Box3>,
+    /// The agent's own points on each box, where the log counts them.
+    pub points: Option<Vec<u32>>,
+    /// Whether the frame is scored.
+    pub is_scored: bool,
 }
 
 /// Sweeps that were left out.
@@ -122,6 +127,31 @@ impl SceneAgent {
             AgentKind::Vehicle => self.footprint,
             AgentKind::Roadside => NOTHING,
         }
+    }
+
+    /// A sweep's cloud where its points are at the stamp. Points on the agent itself move with it and stay. `None`: the motion over
+    /// the sweep is not known.
+    pub fn at_stamp(&self, stamp: Nanos, cloud: &PointCloud) -> Option<PointCloud> {
+        let times = || cloud.time.iter().copied();
+        let (Some(first), Some(last)) = (times().min(), times().max()) else {
+            return Some(cloud.clone());
+        };
+        if (first, last) == (0, 0) {
+            return Some(cloud.clone());
+        }
+        let motion = Motion::new(&self.track, stamp, first.into(), last.into())?;
+        let [mut x, mut y, mut z] = motion.at_stamp([&cloud.x, &cloud.y, &cloud.z], &cloud.time);
+        for (index, (own_x, own_y)) in cloud.x.iter().zip(cloud.y.iter()).enumerate() {
+            if self.is_itself([f64::from(*own_x), f64::from(*own_y), 0.0]) {
+                (x[index], y[index], z[index]) = (*own_x, *own_y, cloud.z[index]);
+            }
+        }
+        Some(PointCloud {
+            x: x.into(),
+            y: y.into(),
+            z: z.into(),
+            ..cloud.clone()
+        })
     }
 
     fn is_itself(&self, [x, y, _]: [f64; 3]) -> bool {
@@ -277,8 +307,9 @@ impl<'a> Scene<'a> {
                 stream if stream == labels => parts.boxes = Some(entry.boxes()?),
                 _ => {
                     if let Some(boxes) = &mut parts.boxes {
-                        entry.info(boxes)?;
-                        parts.has_info = true;
+                        let info = entry.info(boxes)?;
+                        parts.points = own_points(&info, &agent.name);
+                        (parts.has_info, parts.is_unscored) = (true, !info.key);
                     }
                 }
             }
@@ -303,14 +334,18 @@ impl<'a> Scene<'a> {
 
     fn sweep(&self, index: usize, stamp: Nanos, parts: Parts) -> Option<Sweep> {
         let agent = &self.agents[index];
-        let mut boxes = parts.boxes.unwrap_or_default().0;
-        boxes.retain(|object| !agent.is_itself(object.center) && self.options.wants_class(&object.class));
+        let boxes = parts.boxes.unwrap_or_default().0;
+        let is_wanted = |object: &Box3| !agent.is_itself(object.center) && self.options.wants_class(&object.class);
+        let wanted: Vec<bool> = boxes.iter().map(is_wanted).collect();
+        let points = parts.points.filter(|points| points.len() == boxes.len());
         Some(Sweep {
             agent: index,
             stamp,
             map_from_body: agent.track.at(stamp)?,
             cloud: parts.cloud?,
-            boxes,
+            boxes: chosen_of(boxes, &wanted),
+            points: points.map(|points| chosen_of(points, &wanted)),
+            is_scored: !parts.is_unscored,
         })
     }
 }
@@ -320,7 +355,22 @@ impl<'a> Scene<'a> {
 struct Parts {
     cloud: Option<PointCloud>,
     boxes: Option<Boxes>,
+    points: Option<Vec<u32>>,
     has_info: bool,
+    is_unscored: bool,
+}
+
+/// The points of one agent on each box.
+fn own_points(info: &BoxesInfo, agent: &str) -> Option<Vec<u32>> {
+    let column = info.agents.iter().position(|name| **name == *agent)?;
+    let counts = info.points.as_ref()?.chunks_exact(info.agents.len());
+    Some(counts.map(|row| row[column]).collect())
+}
+
+/// The items that are wanted.
+fn chosen_of<T>(items: Vec<T>, wanted: &[bool]) -> Vec<T> {
+    let pairs = items.into_iter().zip(wanted);
+    pairs.filter_map(|(item, wanted)| wanted.then_some(item)).collect()
 }
 
 impl Parts {

@@ -41,9 +41,10 @@ impl BodyCloud {
             y.push(point.y as f32);
             z.push(point.z as f32);
         }
-        let time = match points.timestamp {
-            None => vec![0; n],
-            Some(times) => times
+        let time = match (points.offset_ns, points.timestamp) {
+            (Some(offsets), _) => offsets,
+            (None, None) => vec![0; n],
+            (None, Some(times)) => times
                 .iter()
                 .map(|time| offset(*time, stamp))
                 .collect::<Result<Vec<_>, _>>()?,
@@ -62,10 +63,15 @@ impl BodyCloud {
         &self.intensity
     }
 
-    /// As a log has it, and how many intensities were limited to 0…255.
+    /// As a log has it, and how many intensities were limited to 0…255. `brightest`: the largest of all.
     pub fn scaled(self, brightest: f32) -> Result<(PointCloud, usize), String> {
-        let n = self.x.len();
         let scale = self.intensity.scale(brightest);
+        self.scaled_by(scale)
+    }
+
+    /// The same with a scale that is known.
+    pub fn scaled_by(self, scale: f32) -> Result<(PointCloud, usize), String> {
+        let n = self.x.len();
         let (intensity, limited) = self.intensity.to_bytes(scale);
         let cloud = PointCloud::new(self.x, self.y, self.z, intensity, self.time, vec![0u16; n]);
         Ok((cloud.ok_or("columns of different length")?, limited))
@@ -79,9 +85,19 @@ pub struct Brightest {
     pub most: f32,
     clouds: usize,
     first: Option<Intensities>,
+    /// The largest of the sensors' scale, where it is known.
+    range: Option<f32>,
 }
 
 impl Brightest {
+    /// Of nothing yet; `range`: the largest of the sensors' scale, where it is known.
+    pub fn of_range(range: Option<f32>) -> Self {
+        Brightest {
+            range,
+            ..Brightest::default()
+        }
+    }
+
     /// Looks at the intensities of a cloud, if it is one of the first.
     pub fn look_at(&mut self, intensity: &Intensities) {
         if self.clouds < LOOKED_AT {
@@ -91,8 +107,22 @@ impl Brightest {
         }
     }
 
+    /// What intensities are multiplied by.
+    pub fn scale(&self, of: &Intensities) -> f32 {
+        match (self.range, of) {
+            (Some(range), Intensities::Others { .. }) => 255.0 / range,
+            _ => of.scale(self.most),
+        }
+    }
+
     /// The rule in words.
     pub fn rule(&self) -> String {
+        if let (Some(range), Some(Intensities::Others { kind, .. })) = (self.range, &self.first) {
+            return format!(
+                "{kind} of 0 to {range}: multiplied by {} (--intensity-range)",
+                255.0 / range
+            );
+        }
         let rule = |first: &Intensities| first.rule(self.most, self.clouds);
         self.first.as_ref().map_or_else(String::new, rule)
     }

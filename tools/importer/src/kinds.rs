@@ -10,6 +10,8 @@ mod kitti;
 mod numpy;
 mod opv2v;
 mod seen;
+mod tumtraf;
+mod urbaning;
 mod v2v4real;
 mod v2x_real;
 
@@ -89,6 +91,8 @@ pub static KINDS: &[&dyn Importer] = &[
     &v2x_real::V2X_REAL,
     &v2v4real::V2V4REAL,
     &cooperscene::COOPERSCENE,
+    &tumtraf::TumTraf,
+    &urbaning::Urbaning,
     &kitti::Kitti,
     &numpy::Numpy,
     &bag::RosBag,

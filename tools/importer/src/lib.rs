@@ -25,7 +25,7 @@ pub use dair::{DairOptions, DairStep, ROADSIDE, RoadsideStamp, Summary, VEHICLE,
 pub use error::ImportError;
 pub use kinds::{Imported, Importer, Job, KINDS, Kind, Seen, importer, list, look_at};
 pub use level::{Level, Plane};
-pub use options::{Handed, OPTIONS, OptionInfo, Options, SweepStamp, option_info};
+pub use options::{BoxPlace, Handed, OPTIONS, OptionInfo, Options, SweepStamp, option_info};
 pub use pcd::{PcdCloud, parse_pcd, read_pcd};
 pub use relevel::{relevel, relevel_with};
 pub use scenes::{AgentSummary, Residual, SceneSummary};

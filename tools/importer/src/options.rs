@@ -49,6 +49,11 @@ pub const OPTIONS: &[OptionInfo] = &[
         "Only these scenes, with commas between [default: all]",
     ),
     option(
+        "without",
+        "WORDS",
+        "Leave out scenes whose names contain one of these, with commas between [default: none]",
+    ),
+    option(
         "frames",
         "FROM..TO",
         "Only frames with these numbers, the last not included; `FROM..`, `..TO` and a single number do as well [default: all]",
@@ -104,6 +109,34 @@ pub const OPTIONS: &[OptionInfo] = &[
         "footprint",
         "X0,X1,Y0,Y1",
         "Outline of the vehicles about their LiDARs, m: from X0 to X1 ahead, from Y0 to Y1 to the left",
+    ),
+    choice(
+        "box-z",
+        "WHERE",
+        &["middle", "bottom"],
+        "What the place of a label is: the middle of its box, or the middle of its bottom",
+    ),
+    choice(
+        "pose-direction",
+        "WAY",
+        &["to-parent", "from-parent"],
+        "What matrices of calibrations do: bring points of the sensor to its parent, or points of the parent to the sensor",
+    ),
+    option(
+        "label-frame",
+        "SENSOR",
+        "The sensor in whose frame the labels are [default: the first in the name of their folder]",
+    ),
+    choice(
+        "times",
+        "SOURCE",
+        &["table", "names"],
+        "Where the times of sweeps are from: the table of synchronised times, or the names of the files",
+    ),
+    option(
+        "intensity-range",
+        "MAX",
+        "The largest intensity of the sensors' scale, which becomes 255 [default: by the brightest of the first sweeps]",
     ),
     choice(
         "cloud",
@@ -166,6 +199,16 @@ pub enum Handed {
     Right,
 }
 
+/// What the place of a label is.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum BoxPlace {
+    /// The middle of its box.
+    #[default]
+    Middle,
+    /// The middle of the bottom of its box.
+    Bottom,
+}
+
 /// How a data set is imported.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Options {
@@ -175,6 +218,8 @@ pub struct Options {
     pub more: Vec<PathBuf>,
     /// Scenes that are wanted; all where empty.
     pub scenes: Vec<String>,
+    /// Scenes whose names contain one of these are left out.
+    pub without: Vec<String>,
     /// Agents that are wanted; all where empty.
     pub agents: Vec<String>,
     /// Numbers of frames that are wanted, the second excluded.
@@ -203,6 +248,16 @@ pub struct Options {
     pub class: String,
     /// The outline of vehicles about their LiDARs, m: [x min, x max, y min, y max].
     pub footprint: [f64; 4],
+    /// What the places of labels are.
+    pub box_place: BoxPlace,
+    /// Whether matrices of calibrations bring points of the parent to the sensor; else those of the sensor to its parent.
+    pub poses_from_parent: bool,
+    /// The sensor in whose frame labels are.
+    pub label_frame: Option<String>,
+    /// Whether times of sweeps are those of the names of files, whatever a table says.
+    pub times_of_names: bool,
+    /// The largest intensity of the sensors' scale; by the brightest of the first sweeps where `None`.
+    pub intensity_range: Option<f32>,
     /// How the names of clouds end that are preferred, where a sweep has several.
     pub cloud: Option<String>,
     /// Numbers of a point in `.bin` clouds.
@@ -215,6 +270,7 @@ impl Default for Options {
             map: None,
             more: Vec::new(),
             scenes: Vec::new(),
+            without: Vec::new(),
             agents: Vec::new(),
             frames: [0, u64::MAX],
             jobs: std::thread::available_parallelism().map_or(1, usize::from),
@@ -229,6 +285,11 @@ impl Default for Options {
             pose_key: None,
             class: "Car".into(),
             footprint: [-2.3, 2.3, -0.95, 0.95],
+            box_place: BoxPlace::Middle,
+            poses_from_parent: false,
+            label_frame: None,
+            times_of_names: false,
+            intensity_range: None,
             cloud: None,
             columns: 4,
         }
@@ -252,6 +313,7 @@ impl Options {
         match name {
             "map" => self.map = Some(text.into()),
             "scenes" => self.scenes = list(text),
+            "without" => self.without = list(text),
             "agents" => self.agents = list(text),
             "frames" => self.frames = range(text).ok_or_else(|| expected("`FROM..TO`, as `0..50`"))?,
             "jobs" => {
@@ -278,6 +340,15 @@ impl Options {
             "footprint" => {
                 let what = "`X0,X1,Y0,Y1` in m within ±30, each pair rising";
                 self.footprint = footprint(text).ok_or_else(|| expected(what))?;
+            }
+            "box-z" if text == "bottom" => self.box_place = BoxPlace::Bottom,
+            "box-z" => self.box_place = BoxPlace::Middle,
+            "pose-direction" => self.poses_from_parent = text == "from-parent",
+            "label-frame" => self.label_frame = Some(text.into()),
+            "times" => self.times_of_names = text == "names",
+            "intensity-range" => {
+                let range = within(text, 1e-3, 1e9).ok_or_else(|| expected("0.001 to 10⁹"))?;
+                self.intensity_range = Some(range as f32);
             }
             "cloud" => self.cloud = Some(text.into()),
             "columns" => {
@@ -338,16 +409,25 @@ mod tests {
         for info in OPTIONS {
             let mut options = Options::default();
             let fine = match info.name {
-                "scenes" | "agents" => "a, -1",
+                "scenes" | "without" | "agents" => "a, -1",
                 "frames" => "3..9",
-                "rate" | "columns" | "jobs" => "5",
+                "rate" | "columns" | "jobs" | "intensity-range" => "5",
                 "height" => "1.9",
                 "footprint" => "-2, 3,-1,1",
                 _ => info.choices.first().copied().unwrap_or("name"),
             };
             options.set(info.name, fine).unwrap();
             if !info.choices.is_empty()
-                || ["frames", "rate", "columns", "jobs", "height", "footprint"].contains(&info.name)
+                || [
+                    "frames",
+                    "rate",
+                    "columns",
+                    "jobs",
+                    "height",
+                    "footprint",
+                    "intensity-range",
+                ]
+                .contains(&info.name)
             {
                 let error = options.set(info.name, "nonsense").unwrap_err();
                 assert!(

@@ -55,6 +55,10 @@ pub(crate) struct Points {
     pub z: Vec<f64>,
     pub intensity: Intensities,
     pub timestamp: Option<Vec<f64>>,
+    /// The field `t` of whole numbers, as the file has it: data sets differ in what it means.
+    pub t: Option<Vec<f64>>,
+    /// Times as offsets from the stamp, ns; they count before `timestamp`.
+    pub offset_ns: Option<Vec<i32>>,
 }
 
 /// Intensities as a file holds them.
@@ -153,6 +157,7 @@ pub fn parse_pcd(bytes: &[u8]) -> Result<PcdCloud, String> {
         z,
         intensity,
         timestamp,
+        ..
     } = parse_points(bytes)?;
     for ((x, y), z) in x.iter().zip(&y).zip(&z) {
         seen([*x, *y, *z])?;
@@ -349,12 +354,17 @@ fn columns(fields: &[Field], values: &impl Values) -> Result<Points, String> {
         }
         None => None,
     };
+    // A `t` of another type is no time of a driver.
+    let mut of_drivers = fields.iter().filter(|field| field.name == "t" && field.count == 1);
+    let t = of_drivers.next().filter(|field| matches!(field.kind, 'I' | 'U'));
     Ok(Points {
         x: x?,
         y: y?,
         z: z?,
         intensity,
         timestamp,
+        t: t.map(|field| values.column(field)),
+        offset_ns: None,
     })
 }
 

@@ -41,7 +41,7 @@ fn parse_rows(bytes: &[u8], columns: usize) -> Result<Points, String> {
             kind: "float32",
             values: column(3).collect(),
         },
-        timestamp: None,
+        ..Points::default()
     })
 }
 

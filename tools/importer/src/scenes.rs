@@ -66,6 +66,10 @@ pub struct SweepFiles {
     pub map_from_lidar: Option<Isometry3<f64>>,
     /// Time since the first frame, where the layout has times.
     pub since_first: Option<Nanos>,
+    /// When it was measured, ns since 1970, where the layout has that.
+    pub at: Option<Nanos>,
+    /// Clouds of further LiDARs of the agent, each with its pose in the frame of the first.
+    pub more: Vec<(PathBuf, Isometry3<f64>)>,
 }
 
 /// A sweep as its files have it. All frames are right-handed, y to the left.
@@ -84,6 +88,8 @@ pub struct RawSweep {
     pub dropped: usize,
     /// Where the labels could be, in the frame of the LiDAR; `None`: everywhere.
     pub view: Option<View>,
+    /// Whether the files say that the frame is not scored.
+    pub is_unscored: bool,
 }
 
 /// A labelled object.
@@ -101,6 +107,8 @@ pub struct Label {
     pub size: [f64; 3],
     /// Along its heading, m/s, where known.
     pub speed: Option<f64>,
+    /// Points of the agent that labelled it, where its files count them.
+    pub points: Option<u32>,
 }
 
 /// What a data set has.
@@ -132,6 +140,11 @@ pub trait Layout: Sync {
     /// Whether the id of an agent's own object is the name of its folder.
     fn agents_are_objects(&self) -> bool {
         false
+    }
+
+    /// Which frames are scored, in words, for the log.
+    fn scored(&self) -> &'static str {
+        "all"
     }
 
     /// What else is assumed, a line each.

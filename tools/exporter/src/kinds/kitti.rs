@@ -127,6 +127,7 @@ impl Writing<'_> {
             "tracks and velocities of boxes".into(),
             "outlines of vehicles and words about sensors".into(),
         ];
+        lines.push(lost::SCORED.into());
         lines.extend(lost::of_frames(scene));
         let height = number(summary.height_m);
         let footprint = lost::footprint(scene.agents.iter()).unwrap_or_default();

@@ -6,7 +6,7 @@ mod labels;
 use std::collections::{BTreeMap, BTreeSet};
 
 use realo_logs::{AgentKind, Log};
-use realo_schemas::Nanos;
+use realo_schemas::{Nanos, PointCloud};
 
 use self::cloud::pcd;
 use self::labels::{Ids, yaml};
@@ -21,7 +21,13 @@ static KIND: Kind = Kind {
     name: "opv2v",
     title: "OPV2V's layout, a scene of all agents",
     writes: "AGENT/000000.yaml (pose, boxes) and AGENT/000000.pcd for each sweep",
-    options: &[("agents", ""), ("classes", ""), ("labels", "truth"), ("height", "")],
+    options: &[
+        ("agents", ""),
+        ("classes", ""),
+        ("labels", "truth"),
+        ("motion", "removed"),
+        ("height", ""),
+    ],
 };
 
 impl Exporter for Opv2v {
@@ -81,6 +87,8 @@ struct Writing<'a> {
     apart: Nanos,
     /// What velocities have aside, m/s, at most.
     aside: f64,
+    /// Sweeps whose points are as they were measured, for the motion during them is not known.
+    unmoved: u64,
 }
 
 impl<'a> Writing<'a> {
@@ -100,7 +108,18 @@ impl<'a> Writing<'a> {
             frames: BTreeSet::new(),
             apart: 0,
             aside: 0.0,
+            unmoved: 0,
         }
+    }
+
+    /// The cloud as it is written.
+    fn cloud(&mut self, sweep: &Sweep) -> PointCloud {
+        if self.scene.options.keeps_motion {
+            return sweep.cloud.clone();
+        }
+        let moved = self.scene.agents[sweep.agent].at_stamp(sweep.stamp, &sweep.cloud);
+        self.unmoved += u64::from(moved.is_none());
+        moved.unwrap_or_else(|| sweep.cloud.clone())
     }
 
     fn sweep(&mut self, folder: &mut Folder, sweep: &Sweep) -> Result<(), ExportError> {
@@ -112,12 +131,10 @@ impl<'a> Writing<'a> {
         let of_frame = scene.first.saturating_add(scene.period.saturating_mul(number as Nanos));
         self.apart = self.apart.max((sweep.stamp - of_frame).abs());
         let ids = self.ids.of(number, sweep);
+        let cloud = self.cloud(sweep);
         let file = |end: &str| format!("{}/{number:06}.{end}", self.folders[sweep.agent]);
         folder.write(&file("yaml"), yaml(agent, sweep, &ids).as_bytes())?;
-        folder.write(
-            &file("pcd"),
-            &pcd(&agent.in_lidar(&sweep.cloud), &sweep.cloud.intensity),
-        )?;
+        folder.write(&file("pcd"), &pcd(&agent.in_lidar(&cloud), &cloud.intensity))?;
         let speeds = sweep.boxes.iter().filter_map(speed);
         self.aside = speeds.fold(self.aside, |most, (_, aside)| most.max(aside));
         let summary = &mut self.agents[sweep.agent];
@@ -172,6 +189,12 @@ impl<'a> Writing<'a> {
             let count = self.ids.without_track;
             lines.push(format!(
                 "that {count} boxes have no track: each has an id of its own for one frame"
+            ));
+        }
+        if self.unmoved > 0 {
+            let sweeps = self.unmoved;
+            assumed.push(format!(
+                "the points of {sweeps} sweeps are as they were measured: the log has no poses over the whole of those sweeps"
             ));
         }
         lines.extend(lost::of_frames(scene));

@@ -79,9 +79,10 @@ pub const fn options(
     level: &'static str,
     handed: &'static str,
     cloud: &'static str,
-) -> [(&'static str, &'static str); 16] {
+) -> [(&'static str, &'static str); 18] {
     [
         ("scenes", ""),
+        ("without", ""),
         ("frames", ""),
         ("agents", ""),
         ("rate", "10"),
@@ -94,6 +95,7 @@ pub const fn options(
         ("footprint", OPENCOOD_FOOTPRINT),
         ("cloud", cloud),
         ("columns", "4"),
+        ("intensity-range", ""),
         ("jobs", ""),
         ("resume", ""),
         ("skip-incomplete", ""),
@@ -112,6 +114,8 @@ struct Said {
     labels: Vec<Label>,
     /// Labels without a size.
     dropped: usize,
+    /// Whether it says that its frame is not scored.
+    is_unscored: bool,
 }
 
 impl Layout for Family {
@@ -136,12 +140,17 @@ impl Layout for Family {
             labels: said.labels,
             dropped: said.dropped,
             view: None,
+            is_unscored: said.is_unscored,
         });
         faults.or(sweep)
     }
 
     fn agents_are_objects(&self) -> bool {
         self.agents_are_objects
+    }
+
+    fn scored(&self) -> &'static str {
+        "all but those whose files say `scored: false`"
     }
 
     fn assumed(&self, options: &Options) -> Vec<String> {
@@ -197,6 +206,7 @@ impl Family {
             height: file.height()?,
             labels,
             dropped,
+            is_unscored: file.is_unscored(),
         })
     }
 
@@ -214,6 +224,7 @@ impl Family {
             map_from_object,
             size: object.extent.map(|half| 2.0 * half),
             speed: object.speed_kmh.filter(|_| self.has_speeds).map(|kmh| kmh / 3.6),
+            points: object.points,
         }
     }
 }

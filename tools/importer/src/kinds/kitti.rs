@@ -105,6 +105,7 @@ impl Layout for KittiLayout {
                 calibration: file("calib", "txt"),
                 map_from_lidar: at(&poses),
                 since_first: since_first(times.as_deref(), number),
+                ..SweepFiles::default()
             };
             (number, files)
         };
@@ -146,6 +147,7 @@ impl Layout for KittiLayout {
                 labels,
                 dropped,
                 view: Some(view),
+                is_unscored: false,
             })
         });
         if sweep.is_none() && faults.0.iter().all(|fault| fault.kind != FileKind::Labels) {

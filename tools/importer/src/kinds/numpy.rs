@@ -1,6 +1,6 @@
 //! Arrays of numpy: a folder for each agent, with a `.npz` for each sweep, or a `.npy` of its points and files beside it.
 
-mod array;
+pub mod array;
 
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::{Path, PathBuf};
@@ -29,6 +29,7 @@ static KIND: Kind = Kind {
     paths: None,
     options: &[
         ("scenes", ""),
+        ("without", ""),
         ("frames", ""),
         ("agents", ""),
         ("rate", "10"),
@@ -68,6 +69,9 @@ impl Importer for Numpy {
         let first = scenes.first().and_then(|(_, agents)| agents.first());
         let found = first.and_then(|(folder, frames)| Some((folder, frames.values().next()?)));
         match found {
+            Some(_) if super::urbaning::marks(dir).is_some() => {
+                Err("there are a table of times or states of vehicles, as UrbanIng-V2X has them".into())
+            }
             Some((folder, name)) => Ok(format!("there is `{}`", folder.join(name).display())),
             None => Err("there is no `AGENT/000000.npz` and no `AGENT/000000.npy`, at most two folders down".into()),
         }
@@ -306,6 +310,7 @@ fn archived(path: &Path, options: &Options) -> Result<RawSweep, ImportError> {
         labels,
         dropped: 0,
         view: None,
+        is_unscored: false,
     })
 }
 
@@ -329,6 +334,7 @@ fn beside(files: &SweepFiles, options: &Options) -> Result<RawSweep, ImportError
         labels: labels.map_err(|reason| ImportError::content(&files.labels, reason))?,
         dropped: 0,
         view: None,
+        is_unscored: false,
     })
 }
 
@@ -415,6 +421,7 @@ fn labels(
             map_from_object,
             size,
             speed: None,
+            points: None,
         })
     };
     rows.iter().enumerate().map(label).collect()

@@ -1,4 +1,4 @@
-//! OPV2V and sets of its making: CARLA's left-handed world, half extents, numbers that step by two.
+//! OPV2V and sets of its making, V2XSet, V2X-InfraSet and Adver-City: CARLA's left-handed world, half extents, numbers that step by two.
 
 use std::path::Path;
 
@@ -6,7 +6,7 @@ use super::Kind;
 use super::cooperscene::file_beside;
 use super::family::{Family, FamilyKind, FrameFile, LabelFrame, options};
 
-/// OPV2V, V2XSet, Adver-City.
+/// OPV2V, V2XSet, V2X-InfraSet, Adver-City.
 pub static OPV2V: FamilyKind = FamilyKind {
     kind: &KIND,
     family: &FAMILY,
@@ -15,8 +15,8 @@ pub static OPV2V: FamilyKind = FamilyKind {
 
 static KIND: Kind = Kind {
     name: "opv2v",
-    title: "OPV2V, V2XSet, Adver-City",
-    needs: "SCENE/AGENT/000068.yaml with 000068.pcd beside it, also below SPLIT/",
+    title: "OPV2V, V2XSet, V2X-InfraSet, Adver-City",
+    needs: "SCENE/AGENT/000068.yaml with 000068.pcd or 000068_lidar0.pcd beside it, also below SPLIT/",
     unit: "frames",
     paths: None,
     options: &options("pose", "left", "pcd"),
@@ -32,6 +32,12 @@ static FAMILY: Family = Family {
     note: None,
 };
 
+/// The cloud of the first of several LiDARs.
+fn of_first_lidar(labels: &Path) -> std::path::PathBuf {
+    let stem = labels.file_stem().unwrap_or_default().to_string_lossy();
+    labels.with_file_name(format!("{stem}_lidar0.pcd"))
+}
+
 fn recognise(path: &Path, file: &FrameFile) -> Result<String, String> {
     let name = path.display();
     if let Some(key) = ["true_ego_pose", "infra", "cam1"].into_iter().find(|key| file.has(key)) {
@@ -41,8 +47,8 @@ fn recognise(path: &Path, file: &FrameFile) -> Result<String, String> {
         return Err(format!("`{name}` has `{beside}` beside it, as CooperScene"));
     }
     match file.pose_numbers() {
-        Some(6) if path.with_extension("pcd").is_file() => {
-            let key = ["RSU", "true_ego_pos", "lidar_pose"]
+        Some(6) if path.with_extension("pcd").is_file() || of_first_lidar(path).is_file() => {
+            let key = ["RSU", "true_ego_pos", "lidar_pose", "lidar_pose0"]
                 .into_iter()
                 .find(|key| file.has(key));
             Ok(format!(

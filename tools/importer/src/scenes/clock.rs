@@ -21,6 +21,8 @@ pub struct Clock {
     pub step: u64,
     /// Duration of a sweep.
     pub period: Nanos,
+    /// Whether the data set has times.
+    is_timed: bool,
 }
 
 impl Clock {
@@ -36,11 +38,18 @@ impl Clock {
             first: numbers.keys().next().copied().unwrap_or(0),
             step: commonest_step(numbers.keys().copied()),
             period: (1e9 / options.rate_hz).round() as Nanos,
+            is_timed: scene
+                .agents
+                .iter()
+                .any(|agent| agent.sweeps.values().any(|files| files.at.is_some())),
         }
     }
 
     /// Stamp of a frame, ns; a time that is recorded counts before a number.
     pub fn stamp(&self, number: u64, files: &SweepFiles) -> Nanos {
+        if let Some(at) = files.at {
+            return at;
+        }
         let by_number = || {
             let since = i128::from(number - self.first.min(number)) * i128::from(self.period) / i128::from(self.step);
             Nanos::try_from(since).unwrap_or(Nanos::MAX)
@@ -51,6 +60,12 @@ impl Clock {
     /// In words.
     pub fn words(&self, options: &Options) -> String {
         let Clock { first, step, .. } = self;
+        if self.is_timed {
+            let (end, seconds) = (options.stamp.as_str(), self.period as f64 / 1e9);
+            return format!(
+                "stamps: those of the data set; a stamp is the {end} of its sweep, which takes {seconds:.4} s (--stamp, --rate)"
+            );
+        }
         let since_1970 = self.start / SECOND;
         let begin = match self.start == NO_DATE {
             true => "1 January 2020, for the scene's name has no date".into(),
@@ -136,6 +151,7 @@ mod tests {
             first: 68,
             step: 2,
             period: SECOND / 10,
+            is_timed: false,
         };
         let files = SweepFiles::default();
         assert_eq!(

@@ -27,6 +27,7 @@ pub struct BodySweep {
     /// What its pose is of in truth, if not of the LiDAR.
     pub pose_of: Option<&'static str>,
     pub view: Option<View>,
+    pub is_unscored: bool,
 }
 
 /// A frame: the sweeps and the labels of its agents, in one order.
@@ -70,6 +71,7 @@ impl SceneImport<'_> {
             labels,
             dropped,
             view,
+            is_unscored,
         } = raw;
         let mut faults = FaultsOfSweep::default();
         faults.keep(FileKind::Labels, check(files, &map_from_lidar, &labels));
@@ -77,7 +79,8 @@ impl SceneImport<'_> {
         let body_from_lidar = body_from_sensor(level, &map_from_lidar.rotation, known.height, &points);
         let placed = body_from_lidar.and_then(|body_from_lidar| {
             let cloud = BodyCloud::new(points, stamp, &body_from_lidar)?;
-            Ok((body_from_lidar, cloud.scaled(known.brightest.most)?))
+            let scale = known.brightest.scale(cloud.intensity());
+            Ok((body_from_lidar, cloud.scaled_by(scale)?))
         });
         let placed = placed.map_err(|reason| ImportError::content(&files.cloud, reason));
         let placed = faults.keep(FileKind::Cloud, placed);
@@ -91,6 +94,7 @@ impl SceneImport<'_> {
                 dropped,
                 pose_of,
                 view: view.map(|view| view.moved(&body_from_lidar)),
+                is_unscored,
             };
             let labelled = Labelled {
                 folder: self.scene.agents[agent].folder.clone(),

@@ -25,7 +25,8 @@ impl Known {
     /// # Errors
     /// No ground, where its height is needed.
     pub fn of(layout: &dyn Layout, scene: &Scene, agent: &SceneAgent, options: &Options) -> Result<Self, ImportError> {
-        let (mut brightest, mut heights, mut reason) = (Brightest::default(), Vec::new(), None);
+        let (mut heights, mut reason) = (Vec::new(), None);
+        let mut brightest = Brightest::of_range(options.intensity_range);
         let mut by_files = None;
         let wanted = agent.sweeps.iter().filter(|(number, _)| options.wants_frame(**number));
         let needs_ground = options.level != Level::Ground && options.height_m.is_none();

@@ -37,6 +37,7 @@ pub fn plan(layout: &'static dyn Layout, dir: &Path, output: &Path, options: &Op
     }
     let mut found = layout.find(dir, options)?;
     select_scenes(dir, &mut found.scenes, &options.scenes)?;
+    leave_out(dir, &mut found.scenes, &options.without)?;
     let clocks: Vec<Clock> = found.scenes.iter().map(|scene| Clock::of(scene, options)).collect();
     select_agents(dir, &mut found.scenes, &options.agents)?;
     let empty = found.scenes.iter().find(|scene| numbers(scene, options).is_empty());
@@ -173,6 +174,19 @@ fn select_scenes(dir: &Path, scenes: &mut Vec<Scene>, wanted: &[String]) -> Resu
     }
     scenes.retain(|scene| wanted.is_empty() || wanted.iter().any(|name| is(scene, name)));
     Ok(())
+}
+
+/// Leaves out scenes whose names contain a word.
+fn leave_out(dir: &Path, scenes: &mut Vec<Scene>, words: &[String]) -> Result<(), ImportError> {
+    let all = names(scenes.iter().map(|scene| scene.name.as_str()));
+    scenes.retain(|scene| !words.iter().any(|word| scene.name.contains(word)));
+    match scenes.is_empty() {
+        false => Ok(()),
+        true => {
+            let reason = format!("--without leaves out every scene: {all}; give fewer or longer words");
+            Err(ImportError::content(dir, reason))
+        }
+    }
 }
 
 /// Keeps the agents that are wanted, and the scenes that have any.

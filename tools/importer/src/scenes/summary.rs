@@ -50,6 +50,8 @@ pub struct SceneSummary {
     pub missing: BTreeMap<String, Vec<String>>,
     /// Boxes of the ground truths of all agents.
     pub truth_boxes: usize,
+    /// Sweeps that are not scored, for their files say so.
+    pub unscored: usize,
     /// Labels of all sides by class.
     pub classes: BTreeMap<String, usize>,
     /// Labels that were dropped, as they have no size or are of no object.
@@ -99,6 +101,9 @@ impl fmt::Display for SceneSummary {
             "\ntruth: {} boxes, the labels of all agents together",
             self.truth_boxes
         )?;
+        if self.unscored > 0 {
+            write!(f, "\nnot scored: {} sweeps, as their files say", self.unscored)?;
+        }
         self.lacks(f)?;
         for line in &self.assumed {
             write!(f, "\nassumed: {line}")?;

@@ -24,6 +24,8 @@ pub struct Truth {
     pub boxes: Vec<Box3>,
     /// How many of them are its own.
     pub own: usize,
+    /// Its own points on each box, where its files count them.
+    pub points: Vec<Option<u32>>,
 }
 
 /// Who an agent itself is among the objects.
@@ -47,18 +49,19 @@ impl Itself {
 pub fn truth_of(frame: &[Labelled], agent: usize, itself: &Itself) -> Truth {
     let ours = &frame[agent];
     let body_from_map = ours.map_from_body.inverse();
-    let (mut boxes, mut known, mut own) = (Vec::new(), BTreeSet::new(), 0);
+    let (mut boxes, mut points, mut known, mut own) = (Vec::new(), Vec::new(), BTreeSet::new(), 0);
     let others = frame.iter().enumerate().filter(|(index, _)| *index != agent);
     for (index, side) in std::iter::once((agent, ours)).chain(others) {
         for label in &side.labels {
             let object = label.to_box(&body_from_map);
             if !itself.is(&ours.folder, label, &object) && known.insert(&label.id) {
                 boxes.push(object);
+                points.push(label.points.filter(|_| index == agent));
                 own += usize::from(index == agent);
             }
         }
     }
-    Truth { boxes, own }
+    Truth { boxes, own, points }
 }
 
 impl Label {
@@ -93,6 +96,7 @@ mod tests {
             map_from_object: Isometry3::translation(x, 0.0, 1.0),
             size: [4.0, 2.0, 1.5],
             speed: Some(5.0),
+            points: None,
         }
     }
 

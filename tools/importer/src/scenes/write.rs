@@ -4,13 +4,14 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use realo_logs::{AgentInfo, AgentKind, Levelled, LogInfo, LogWriter};
+use realo_schemas::PointCloud;
 
 use super::clock::Clock;
 use super::count::points_in_boxes;
 use super::frame::{BodySweep, Frame, numbers};
 use super::known::Known;
 use super::residual::{Placed, residual};
-use super::truth::{Itself, Labelled, truth_of};
+use super::truth::{Itself, Labelled, Truth, truth_of};
 use super::{AgentSummary, Layout, Scene, SceneAgent, SceneSummary};
 use crate::faults::{Faults, FaultsOfSweep};
 use crate::level::Level;
@@ -84,7 +85,7 @@ impl<'a> SceneImport<'a> {
         let agents = self.scene.agents.iter().zip(known);
         let agents = agents.map(|(agent, known)| self.agent(agent, known.height)).collect();
         let mut info = LogInfo::new(source(self.layout, self.scene), agents);
-        info.key_frames = "all".into();
+        info.key_frames = self.layout.scored().into();
         info
     }
 
@@ -171,7 +172,7 @@ impl Writing<'_> {
             is_object: layout.agents_are_objects(),
         };
         let truth = truth_of(labels, index, &itself);
-        let points = points_in_boxes(&sweep.cloud, &truth.boxes);
+        let points = points_on(&sweep.cloud, &truth);
         let ready = match options.stamp {
             SweepStamp::Start => sweep.stamp.saturating_add(clock.period),
             SweepStamp::End => sweep.stamp,
@@ -184,8 +185,9 @@ impl Writing<'_> {
             log.own_views(name, stamp, ready, std::slice::from_ref(view))?;
             log.truth_views(name, stamp, ready, std::slice::from_ref(view))?;
         }
-        log.own_labels(name, stamp, ready, own, Some(&points[..truth.own]), true)?;
-        log.truth(name, stamp, ready, &truth.boxes, Some(&points), true)?;
+        log.own_labels(name, stamp, ready, own, Some(&points[..truth.own]), !sweep.is_unscored)?;
+        log.truth(name, stamp, ready, &truth.boxes, Some(&points), !sweep.is_unscored)?;
+        self.summary.unscored += usize::from(sweep.is_unscored);
         self.tilts[sweep.agent].push(sweep.tilt);
         for object in own {
             *self.summary.classes.entry(object.class.to_string()).or_default() += 1;
@@ -240,6 +242,17 @@ impl Writing<'_> {
             self.summary.log = Some(output.into());
         }
         Ok(self.summary)
+    }
+}
+
+/// An agent's own points on each box: as its files count them, else the points in the box.
+fn points_on(cloud: &PointCloud, truth: &Truth) -> Vec<u32> {
+    match truth.points.iter().copied().collect::<Option<Vec<u32>>>() {
+        Some(points) => points,
+        None => {
+            let counted = points_in_boxes(cloud, &truth.boxes).into_iter().zip(&truth.points);
+            counted.map(|(inside, own)| own.unwrap_or(inside)).collect()
+        }
     }
 }
 

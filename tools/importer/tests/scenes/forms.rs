@@ -162,6 +162,57 @@ fn v2xset_and_adver_city_name_their_roadside_units_each_in_its_way() {
 }
 
 #[test]
+fn v2x_infraset_has_clouds_of_several_lidars_and_cars_on_the_ground() {
+    let made = Made::new(&Style {
+        pose_key: "lidar_pose0",
+        head: |_| "RSU: true\nradar_pose0: [1, 2, 3, 0, 0, 0]\n",
+        agents_are_objects: false,
+        ..OPV2V
+    });
+    made.import(&[]).unwrap();
+    let plain = content(&made.out());
+    for folder in ["641", "650"] {
+        for number in [68, 70, 72] {
+            let labels = made.labels(folder, number);
+            let cloud = labels.with_extension("pcd");
+            let named = |lidar: &str| made.scene().join(folder).join(format!("{number:06}_{lidar}.pcd"));
+            fs::rename(&cloud, named("lidar0")).unwrap();
+            fs::write(named("lidar1"), b"a LiDAR that is not read").unwrap();
+            edit(&labels, |text| text.replace("vehicles:", "cars:"));
+        }
+    }
+    made.import(&[]).unwrap();
+    assert_eq!(
+        content(&made.out()),
+        plain,
+        "what says the middle of its box is there, whatever the key"
+    );
+    let kinds: Vec<AgentKind> = Log::open(made.out())
+        .unwrap()
+        .info()
+        .agents
+        .iter()
+        .map(|agent| agent.kind)
+        .collect();
+    assert_eq!(kinds, [AgentKind::Roadside; 2]);
+    let seen = look_at(&made.dir.path().join("data"));
+    assert_eq!(seen.only(made.dir.path()).unwrap().kind().name, "opv2v", "{seen}");
+    // Without a middle the location is on the ground.
+    let first = made.labels("641", 68);
+    edit(&first, |text| {
+        let lines = text.lines().filter(|line| !line.trim_start().starts_with("center:"));
+        lines.map(|line| format!("{line}\n")).collect()
+    });
+    made.import(&[]).unwrap();
+    let (_, found) = read(&made.out());
+    let own = &found.iter().next().unwrap().1.own;
+    let bottom = |object: &realo_schemas::Box3| object.center[2] - object.height / 2.0;
+    // The made-up boxes are 0.25 m above their locations, whose bottoms would else be at the same height.
+    let lower: Vec<f64> = own.iter().map(bottom).collect();
+    assert!(lower.iter().all(|z| (z - 0.75).abs() < 0.05), "{lower:?}");
+}
+
+#[test]
 fn other_keys_of_the_pose_are_taken_and_an_estimate_only_if_named() {
     for key in ["true_ego_pos", "true_ego_pose"] {
         let made = Made::new(&Style { pose_key: key, ..OPV2V });

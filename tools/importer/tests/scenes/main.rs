@@ -8,6 +8,8 @@ mod layouts;
 mod numpy;
 mod reading;
 mod round_trip;
+mod tumtraf;
+mod urbaning;
 mod world;
 
 use world::Agent;

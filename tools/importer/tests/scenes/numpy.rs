@@ -18,13 +18,13 @@ const START: i64 = 1_577_836_800_000_000_000;
 const PERIOD: i64 = 100_000_000;
 const FRAMES: u64 = 3;
 
-fn npy(descr: &str, shape: &str, bytes: &[u8]) -> Vec<u8> {
+pub fn npy(descr: &str, shape: &str, bytes: &[u8]) -> Vec<u8> {
     let head = format!("{{'descr': '{descr}', 'fortran_order': False, 'shape': ({shape}), }}\n");
     let length = (head.len() as u16).to_le_bytes();
     [b"\x93NUMPY\x01\x00", &length[..], head.as_bytes(), bytes].concat()
 }
 
-fn doubles(numbers: &[f64]) -> Vec<u8> {
+pub fn doubles(numbers: &[f64]) -> Vec<u8> {
     numbers.iter().flat_map(|number| number.to_le_bytes()).collect()
 }
 
@@ -89,7 +89,7 @@ fn row_by_row(pose: &Matrix4<f64>) -> Vec<u8> {
     doubles(pose.transpose().as_slice())
 }
 
-fn npz(arrays: &[(&str, Vec<u8>)], method: CompressionMethod) -> Vec<u8> {
+pub fn npz(arrays: &[(&str, Vec<u8>)], method: CompressionMethod) -> Vec<u8> {
     let mut archive = ZipWriter::new(Cursor::new(Vec::new()));
     for (name, bytes) in arrays {
         let options = SimpleFileOptions::default().compression_method(method);

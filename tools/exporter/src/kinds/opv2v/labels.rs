@@ -34,13 +34,20 @@ pub fn yaml(agent: &SceneAgent, sweep: &Sweep, ids: &[u64]) -> String {
     if agent.kind == AgentKind::Roadside {
         text += "RSU: true\n";
     }
+    if !sweep.is_scored {
+        text += "scored: false\n";
+    }
     if sweep.boxes.is_empty() {
         text += "vehicles: {}\n";
         return text;
     }
     text += "vehicles:\n";
-    for (id, object) in ids.iter().zip(&sweep.boxes) {
+    for (index, (id, object)) in ids.iter().zip(&sweep.boxes).enumerate() {
         vehicle(&mut text, *id, object, &sweep.map_from_body);
+        if let Some(points) = sweep.points.as_ref().and_then(|points| points.get(index)) {
+            // Writing to a text does not fail.
+            let _ = writeln!(text, "    points: {points}");
+        }
     }
     text
 }
@@ -139,6 +146,8 @@ mod tests {
             map_from_body: Isometry3::translation(x, 0.0, 0.0),
             cloud: PointCloud::empty(),
             boxes: boxes.iter().map(object).collect(),
+            points: None,
+            is_scored: true,
         }
     }
 

@@ -14,31 +14,46 @@ use crate::{ImportError, Options};
 const DEEPEST: usize = 4;
 /// How names of label files end.
 const LABELS: &str = "yaml";
+/// What follows the number in names of clouds where an agent has several LiDARs: the first one counts, whose pose the labels have.
+const FIRST_LIDAR: &str = "_lidar0";
+
+/// The number of a cloud, the beginning of its name, and how that ends.
+fn cloud_of(name: &str) -> Option<(u64, &str, &str)> {
+    let (stem, end) = name.rsplit_once('.')?;
+    let (digits, _) = name.split_at(stem.strip_suffix(FIRST_LIDAR).unwrap_or(stem).len());
+    let is_number = !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit());
+    Some((digits.parse().ok().filter(|_| is_number)?, digits, end))
+}
 
 /// Whether a folder has frames of an agent.
 fn is_agent(listed: &Listed, clouds: &[&str]) -> bool {
-    let mut frames = listed.files.iter().filter_map(|name| frame_of(name));
-    frames.any(|(_, end)| end == LABELS || clouds.contains(&end))
+    let is_frame = |name: &String| {
+        frame_of(name).is_some_and(|(_, end)| end == LABELS)
+            || cloud_of(name).is_some_and(|(_, _, end)| clouds.contains(&end))
+    };
+    listed.files.iter().any(is_frame)
 }
 
 /// Sweeps by their numbers. What is missing has the name that it should have.
 fn sweeps(listed: &Listed, dir: &Path, clouds: &[&str]) -> BTreeMap<u64, SweepFiles> {
     let mut stems = BTreeMap::<u64, &str>::new();
     for name in &listed.files {
-        if let Some((number, end)) = frame_of(name)
-            && (end == LABELS || clouds.contains(&end))
-        {
-            stems
-                .entry(number)
-                .or_insert_with(|| &name[..name.len() - end.len() - 1]);
+        let labels = frame_of(name).filter(|(_, end)| *end == LABELS);
+        let labels = labels.map(|(number, end)| (number, &name[..name.len() - end.len() - 1]));
+        let cloud = cloud_of(name).filter(|(_, _, end)| clouds.contains(end));
+        if let Some((number, stem)) = labels.or(cloud.map(|(number, stem, _)| (number, stem))) {
+            stems.entry(number).or_insert(stem);
         }
     }
     let sweep = |(number, stem): (u64, &str)| {
         let ends = clouds.iter().copied();
-        let there = ends.clone().find(|end| listed.files.contains(&format!("{stem}.{end}")));
-        let end = there.or(ends.clone().next()).unwrap_or_default();
+        let mut names = ends
+            .clone()
+            .flat_map(|end| [format!("{stem}.{end}"), format!("{stem}{FIRST_LIDAR}.{end}")]);
+        let there = names.find(|name| listed.files.contains(name));
+        let missing = || format!("{stem}.{}", ends.clone().next().unwrap_or_default());
         let files = SweepFiles {
-            cloud: dir.join(format!("{stem}.{end}")),
+            cloud: dir.join(there.unwrap_or_else(missing)),
             labels: dir.join(format!("{stem}.{LABELS}")),
             ..SweepFiles::default()
         };

@@ -19,12 +19,17 @@ const OF_VEHICLE: [&str; 2] = ["true_ego_pose", "true_ego_pos"];
 pub const ROADSIDE: [&str; 3] = ["RSU", "rsu", "infra"];
 /// Key of the height of the LiDAR over the ground, m, as `realo-lab export` writes it.
 const HEIGHT: &str = "lidar_height";
+/// Key that a frame is not scored, as `realo-lab export` writes it.
+const SCORED: &str = "scored";
+/// Key of the agent's own points on an object, as `realo-lab export` writes it.
+const POINTS: &str = "points";
 /// No LiDAR is higher, m.
 const MOST_HEIGHT: f64 = 50.0;
 /// Keys of the class of an object.
 const CLASSES: [&str; 3] = ["obj_type", "object_type", "class"];
-/// Keys of the objects.
-const OBJECTS: &str = "vehicles";
+/// Keys of the objects. Those of V2X-InfraSet have no middle of their boxes: their locations are on the ground.
+const OBJECTS: [&str; 2] = ["vehicles", "cars"];
+const ON_GROUND: &str = "cars";
 
 /// A label file.
 pub struct FrameFile {
@@ -46,6 +51,8 @@ pub struct Object {
     /// Half sizes.
     pub extent: [f64; 3],
     pub speed_kmh: Option<f64>,
+    /// The agent's own points on it.
+    pub points: Option<u32>,
 }
 
 impl Object {
@@ -112,6 +119,11 @@ impl FrameFile {
         ROADSIDE.iter().any(says)
     }
 
+    /// Whether it says that its frame is not scored.
+    pub fn is_unscored(&self) -> bool {
+        self.document.get(SCORED).and_then(Value::as_bool) == Some(false)
+    }
+
     /// World from LiDAR; `key`: the only one that counts.
     ///
     /// # Errors
@@ -160,26 +172,31 @@ impl FrameFile {
     /// # Errors
     /// No list of objects, or one of which a field is missing or not what it should be.
     pub fn objects(&self) -> Result<Vec<Object>, ImportError> {
-        let value = self.document.get(OBJECTS);
-        let Some(Value::Mapping(objects)) = value else {
-            let found = value.map_or_else(|| format!("no such key among {}", self.keys()), what);
+        let found = OBJECTS.iter().find_map(|key| Some((*key, self.document.get(key)?)));
+        let key = found.map_or(OBJECTS[0], |(key, _)| key);
+        let Some((_, Value::Mapping(objects))) = found else {
+            let found = found.map_or_else(
+                || format!("no such key among {}", self.keys()),
+                |(_, value)| what(value),
+            );
             let reason = format!(
-                "{OBJECTS}: expected the objects by their ids, `{{}}` where there are none, found {found}; fetch the file anew if it was cut"
+                "{key}: expected the objects by their ids, `{{}}` where there are none, found {found}; fetch the file anew if it was cut"
             );
             return Err(self.document.error(reason));
         };
         let object = |(id, fields): (&Value, &Value)| {
             let id = text(id);
-            object(&id, fields).map_err(|reason| {
+            object(&id, fields, key == ON_GROUND).map_err(|reason| {
                 self.document
-                    .error(format!("{OBJECTS}: object `{}`: {reason}", crate::shown(&id)))
+                    .error(format!("{key}: object `{}`: {reason}", crate::shown(&id)))
             })
         };
         objects.iter().map(object).collect()
     }
 }
 
-fn object(id: &str, fields: &Value) -> Result<Object, String> {
+/// An object; `on_ground`: where its middle is not said, its location is that of its bottom.
+fn object(id: &str, fields: &Value, on_ground: bool) -> Result<Object, String> {
     let three = |key: &str, or: Option<[f64; 3]>| -> Result<[f64; 3], String> {
         match (fields.get(key), or) {
             (Some(value), _) => {
@@ -200,18 +217,32 @@ fn object(id: &str, fields: &Value) -> Result<Object, String> {
     if extent.iter().any(|half| *half < 0.0) {
         return Err(format!("extent: expected half sizes of 0 or more, found {extent:?}"));
     }
+    let middle = if on_ground { [0.0, 0.0, extent[2]] } else { [0.0; 3] };
     let word = |key: &str| fields.get(key).map(text).filter(|text| !text.is_empty());
     Ok(Object {
         id: id.into(),
         joined: word("ass_id"),
         class: CLASSES.iter().find_map(|key| word(key)),
         location: three("location", None)?,
-        center: three("center", Some([0.0; 3]))?,
+        center: three("center", Some(middle))?,
         angle: three("angle", None)?,
         extent,
         speed_kmh: fields
             .get("speed")
             .and_then(Value::as_f64)
             .filter(|speed| speed.is_finite()),
+        points: points(fields)?,
+    })
+}
+
+/// The agent's own points on an object, where the file counts them.
+fn points(fields: &Value) -> Result<Option<u32>, String> {
+    let Some(value) = fields.get(POINTS) else {
+        return Ok(None);
+    };
+    let count = value.as_u64().and_then(|count| u32::try_from(count).ok());
+    count.map(Some).ok_or_else(|| {
+        let found = what(value);
+        format!("{POINTS}: expected a whole number of points from 0 on, found {found}; correct it, or remove the key")
     })
 }

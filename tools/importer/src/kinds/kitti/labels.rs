@@ -64,6 +64,7 @@ fn label(index: usize, line: &str, map_from_camera: &Isometry3<f64>) -> Result<O
         map_from_object: map_from_camera * camera_from_object,
         size: [length, width, height],
         speed: None,
+        points: None,
     }))
 }
 
