@@ -5,9 +5,9 @@ use std::path::Path;
 
 use realo_engine::Wiring;
 use realo_graph::{FlatGraph, FlatNode, OUTSIDE, misdeclared};
-use realo_operator::{Built, PortId, Registration, Registry};
+use realo_operator::{Built, PortId, Registration, Registry, Role};
 
-use crate::{Program, Tap};
+use crate::{Child, Program, Tap};
 
 /// A stage that cannot be built.
 #[derive(Clone, Debug, PartialEq, thiserror::Error)]
@@ -135,12 +135,17 @@ impl Stages {
         let (stage, recipe) = (&self.wiring.stages[index], &self.recipes[index]);
         let built = match &recipe.program {
             None => (stage.registration.build)(&recipe.args).map_err(|error| error.to_string()),
-            Some(program) => program.start().map(|child| Built::Operator(Box::new(child))),
+            Some(program) => program.start().and_then(Child::into_built),
         };
         built.map_err(|reason| BuildError {
             node: stage.id.to_string(),
             reason,
         })
+    }
+
+    /// Whether a stage is a program that brings messages in from outside.
+    pub(crate) fn is_live(&self, index: usize) -> bool {
+        self.wiring.stages[index].registration.role == Role::Source && self.recipes[index].program.is_some()
     }
 
     /// Builds the stages that are wanted, by their indices.

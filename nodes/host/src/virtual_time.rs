@@ -292,8 +292,9 @@ impl<'a> Simulation<'a> {
         shared: Option<(&'a Shared, &Outline)>,
     ) -> Result<Self, RunError> {
         let mut wiring = stages.wiring.clone();
-        let is_gateway = |stage: &&Wired| stage.registration.role == Role::Gateway;
-        if let Some(stage) = wiring.stages.iter().find(is_gateway) {
+        let is_outside =
+            |(at, stage): &(usize, &Wired)| stage.registration.role == Role::Gateway || stages.is_live(*at);
+        if let Some((_, stage)) = wiring.stages.iter().enumerate().find(is_outside) {
             return Err(RunError::Outside {
                 node: stage.id.to_string(),
                 name: stage.registration.name,

@@ -91,6 +91,16 @@ impl Frames {
         self.add(topic, stamp, bare(parent), bare(child), parent_from_child);
     }
 
+    /// Leaves out moving transforms before a time, except the last two of each frame, by which it goes on.
+    pub fn forget(&mut self, before: Nanos) {
+        for edge in self.edges.values_mut().filter(|edge| edge.topic != STATIC) {
+            let kept = edge.at.range(..before).rev().nth(1).map(|(at, _)| *at);
+            if let Some(kept) = kept {
+                edge.at = edge.at.split_off(&kept);
+            }
+        }
+    }
+
     /// Each frame with its parent, and whether it is fixed to it.
     pub fn parents(&self) -> impl Iterator<Item = (&str, &str, bool)> {
         self.edges
@@ -378,6 +388,21 @@ mod tests {
             }
         }
         assert!(x(Nanos::MIN).is_err() && x(Nanos::MAX).is_err());
+    }
+
+    #[test]
+    fn what_is_forgotten_does_not_change_what_comes_later() {
+        let mut short = frames();
+        short.forget(3 * SECOND / 2);
+        let kept: Vec<Nanos> = short.edges["base"].at.keys().map(|at| at * 10 / SECOND).collect();
+        assert_eq!(kept, [13, 14, 15, 16, 17, 18, 19, 20]);
+        for stamp in [3 * SECOND / 2, 2 * SECOND + MAX_GAP] {
+            assert_eq!(short.way("map", "lidar", stamp), frames().way("map", "lidar", stamp));
+        }
+        assert!(short.way("map", "lidar", SECOND).is_err());
+        short.forget(Nanos::MAX);
+        assert_eq!(short.edges["base"].at.len(), 2);
+        assert!(short.way("base", "lidar", 0).is_ok(), "what is static stays");
     }
 
     #[test]

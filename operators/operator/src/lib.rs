@@ -8,7 +8,7 @@
 //!   of a call.
 //! - [`Registration`]: an operator whose type is no longer known; [`Registry`] what a binary hosts.
 //! - [`StreamKey`]: random draws that depend on what they are for alone.
-//! - [`run`]: the whole `main` of a plug-in; [`pipe`] is what it speaks.
+//! - [`run`], [`run_as`]: the whole `main` of a plug-in; [`pipe`] is what it speaks.
 
 // Derived code names this crate from outside.
 extern crate self as realo_operator;
@@ -36,7 +36,7 @@ pub use registry::{AnyGateway, AnyOperator, AnySink, AnySource, Built, Registrat
 // What derived code names.
 #[doc(hidden)]
 pub use realo_schemas::{Message, PayloadType};
-pub use run::run;
+pub use run::{run, run_as};
 pub use settings::{SettingInfo, StageSettings};
 pub use steps::Steps;
 pub use typed::{NoInput, NoOutput, PortError, PortPayload, StageInputs, StageOutputs};

@@ -4,8 +4,8 @@ use serde_json::Value;
 
 use crate::config::{ConfigError, defaults, did_you_mean, nearest_name, parse};
 use crate::{
-    Books, Counter, Counts, Error, Gateway, Operator, Outputs, Port, PortId, SettingInfo, Sink, Source, StageInputs,
-    StageOutputs, StageSettings, Waker,
+    Books, Counter, Counts, Error, Gateway, NoInput, NoOutput, Operator, Outputs, Port, PortId, SettingInfo, Sink,
+    Source, StageInputs, StageOutputs, StageSettings, Waker,
 };
 
 /// What a node is to its graph.
@@ -85,6 +85,10 @@ pub trait AnySource: Send {
     fn clock(&self, first: Nanos) -> Option<Clock>;
     /// See [`Source::counts`].
     fn counts(&self) -> Counts;
+    /// Whether its messages come from outside as they are made, so that the time line is wall time.
+    fn is_live(&self) -> bool {
+        false
+    }
 }
 
 impl<S: Source + Send> AnySource for S {
@@ -208,6 +212,22 @@ impl Registration {
         /// Registers a gateway.
         gateway, Gateway, Role::Gateway, |made| Built::Gateway(Box::new(Calls(made)))
     );
+
+    /// A program that brings messages in while its graph runs, see [`pipe`](crate::pipe): its operator is woken for them.
+    pub const fn source_program<T: Operator<Input = NoInput> + Send + 'static>() -> Self {
+        Registration {
+            role: Role::Source,
+            ..Registration::operator::<T>()
+        }
+    }
+
+    /// A program that takes messages out while its graph runs, see [`pipe`](crate::pipe).
+    pub const fn sink_program<T: Operator<Output = NoOutput> + Send + 'static>() -> Self {
+        Registration {
+            role: Role::Sink,
+            ..Registration::operator::<T>()
+        }
+    }
 
     /// The word before the name in a node's `args`: `operator` or `node`.
     pub fn word(&self) -> &'static str {

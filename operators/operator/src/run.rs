@@ -29,9 +29,14 @@ use crate::{Operator, Registration};
 ///
 /// An error is printed on standard error and gives the exit code 1, a panic 101.
 pub fn run<O: Operator + Send + 'static>() -> ExitCode {
-    let registration = const { &Registration::operator::<O>() };
     let args: Vec<String> = std::env::args().skip(1).collect();
-    match serve(registration, &args) {
+    run_as(const { &Registration::operator::<O>() }, &args)
+}
+
+/// As [`run`], of any role that a program may have ([`Registration::source_program`], [`Registration::sink_program`]) and with these
+/// settings.
+pub fn run_as(registration: &'static Registration, args: &[String]) -> ExitCode {
+    match serve(registration, args) {
         Ok(()) => ExitCode::SUCCESS,
         Err(reason) => {
             eprintln!("{}: {reason}", registration.name);

@@ -5,8 +5,9 @@ use std::fmt;
 use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
-use realo_logs::AgentKind;
 use realo_logs::pose::isometry;
+use realo_logs::{AgentKind, Frames, NoWay, bare};
+use realo_schemas::Nanos;
 use serde::{Deserialize, Deserializer};
 
 use crate::BagError;
@@ -179,6 +180,39 @@ impl AgentMap {
             (
                 frame.as_str(),
                 Isometry3::from_parts(Translation3::new(*x, *y, *z), rotation),
+            )
+        })
+    }
+}
+
+/// Brings what lies in one frame into another, or says why nothing does.
+///
+/// # Errors
+/// Why nothing leads there at this time, in words.
+pub fn way(frames: &Frames, to: &str, from: &str, stamp: Nanos) -> Result<Isometry3<f64>, String> {
+    let way = frames.way(bare(to), bare(from), stamp);
+    way.map(|way| way.to_from_from).map_err(|no_way| match no_way {
+        NoWay::Gap(reason) | NoWay::Never(reason) => reason,
+    })
+}
+
+impl AgentMap {
+    /// The agent's frame from a sensor's, by the map file or else by transforms.
+    ///
+    /// # Errors
+    /// Why nothing leads there, and what to write.
+    pub fn mount(&self, frames: &Frames, sensor: &str, stamp: Nanos) -> Result<Isometry3<f64>, String> {
+        let (sensor, own) = (bare(sensor), bare(&self.frame));
+        if sensor == own {
+            return Ok(Isometry3::identity());
+        }
+        if let Some((_, pose)) = self.mounted().find(|(known, _)| bare(known) == sensor) {
+            return Ok(pose);
+        }
+        way(frames, own, sensor, stamp).map_err(|reason| {
+            format!(
+                "its frame is `{sensor}`, and no transform leads to the agent's frame `{own}`: {reason}; add `mounts: {{{sensor}: [x, y, z, roll, \
+                 pitch, yaw]}}` to the agent in the map file"
             )
         })
     }

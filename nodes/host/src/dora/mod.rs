@@ -30,6 +30,7 @@ pub use load::Slow;
 pub use memory::{POOL, POOL_VARIABLE};
 use plan::Plan;
 pub use queues::{OVERLAY, OVERLAY_VARIABLE};
+pub(crate) use tether::is_ending;
 pub use tether::{TETHER_VARIABLE, tether_of};
 
 /// Names the folder of the graph where dora is given a copy of it, and so starts its nodes elsewhere.

@@ -27,7 +27,18 @@ pub(super) fn run(shared: &Shared, stage: usize, source: Box<dyn AnySource>) {
 }
 
 fn play(shared: &Shared, stage: usize, mut source: Box<dyn AnySource>) -> Result<(), HostError> {
-    let mut opened = false;
+    let mut opened = source.is_live();
+    if opened {
+        // What comes from outside does not wait for the graph.
+        open_routes(shared)?;
+        let now = wall_now();
+        let clock = Clock {
+            wall_origin: now,
+            log_origin: now,
+            rate: 1.0,
+        };
+        shared.lock().engine.set_clock(clock);
+    }
     let mut sent = BTreeSet::new();
     loop {
         let next = source.next().map_err(|error: Error| {

@@ -26,7 +26,7 @@ const AGAIN: Timespec = Timespec {
 static ENDING: AtomicBool = AtomicBool::new(false);
 
 /// Whether `realo run` has asked for the run's end.
-pub(super) fn is_ending() -> bool {
+pub(crate) fn is_ending() -> bool {
     ENDING.load(Ordering::Relaxed)
 }
 

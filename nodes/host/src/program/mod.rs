@@ -1,7 +1,8 @@
-//! Plug-ins: programs that serve an operator over pipes ([`realo_operator::pipe`]).
+//! Plug-ins: programs that serve a stage over pipes ([`realo_operator::pipe`]).
 
 mod child;
 mod guard;
+mod outside;
 
 use std::collections::BTreeMap;
 use std::ffi::OsString;

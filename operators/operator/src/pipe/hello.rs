@@ -54,8 +54,29 @@ fn yes() -> bool {
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 #[serde(deny_unknown_fields)]
 struct Ports {
+    /// `operator`, `source` or `sink`.
+    #[serde(default = "operator", skip_serializing_if = "is_operator")]
+    role: String,
     inputs: Vec<PortWords>,
     outputs: Vec<PortWords>,
+}
+
+fn operator() -> String {
+    role_word(Role::Operator).into()
+}
+
+fn is_operator(word: &String) -> bool {
+    *word == operator()
+}
+
+/// The word of a role that a program may have; empty of one that it may not.
+fn role_word(role: Role) -> &'static str {
+    match role {
+        Role::Operator => "operator",
+        Role::Source => "source",
+        Role::Sink => "sink",
+        Role::Gateway => "",
+    }
 }
 
 /// How frames of a program travel that has no memory to share.
@@ -78,6 +99,7 @@ pub struct Hello {
 /// What Arrow cannot write.
 pub fn write(registration: &Registration, shares: bool) -> Result<Vec<Buffer>, String> {
     let ports = Ports {
+        role: role_word(registration.role).into(),
         inputs: registration.inputs.iter().map(PortWords::of).collect(),
         outputs: registration.outputs.iter().map(PortWords::of).collect(),
     };
@@ -121,20 +143,35 @@ pub fn read(bytes: Buffer) -> Result<Hello, String> {
     Ok(Hello { registration, shares })
 }
 
+/// What a program is to its graph; its ports must fit.
+fn role_of(ports: &Ports) -> Result<Role, String> {
+    let word = ports.role.as_str();
+    let roles = [Role::Operator, Role::Source, Role::Sink];
+    let role = roles.into_iter().find(|role| role_word(*role) == word);
+    let role = role.ok_or_else(|| format!("role: expected `operator`, `source` or `sink`, found `{word}`"))?;
+    let wrong = |expected: &str| Err(format!("a program of role `{word}`: {expected}"));
+    match (role, ports.inputs.len(), ports.outputs.len()) {
+        (Role::Source, 0, 0) => wrong("expected at least one output, found none"),
+        (Role::Source, 0, _) | (Role::Sink, 1.., 0) => Ok(role),
+        (Role::Source, n, _) => wrong(&format!("expected no input, found {n}")),
+        (Role::Sink, 1.., n) => wrong(&format!("expected no output, found {n}")),
+        (_, 0, _) => wrong("expected at least one input, found none; what only sends has the role `source`"),
+        _ => Ok(role),
+    }
+}
+
 /// Declarations live as long as the process, each distinct one once.
 fn register(name: &str, ports: Ports) -> Result<&'static Registration, String> {
     static KNOWN: Mutex<BTreeMap<(String, Ports), &'static Registration>> = Mutex::new(BTreeMap::new());
     let inputs = declared(&ports.inputs, "input")?;
     let outputs = declared(&ports.outputs, "output")?;
-    if inputs.is_empty() {
-        return Err("expected at least one input, found none: a plug-in is an operator, not a source".into());
-    }
+    let role = role_of(&ports)?;
     let mut known = KNOWN.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
     let registration = known.entry((name.to_string(), ports)).or_insert_with(|| {
         Box::leak(Box::new(Registration {
             name: leaked(name),
             about: "a program of its own",
-            role: Role::Operator,
+            role,
             inputs: leaked_ports(inputs),
             outputs: leaked_ports(outputs),
             settings: &[],
@@ -303,12 +340,39 @@ mod tests {
         let again = read(whole(write(&registration, false))).unwrap();
         assert!(std::ptr::eq(back, again.registration), "a declaration is kept once");
         assert!(!again.shares);
+        assert_eq!(back.role, Role::Operator);
+        let source = Registration {
+            role: Role::Source,
+            inputs: &[],
+            ..registration
+        };
+        let back = read(whole(write(&source, false))).unwrap().registration;
+        assert_eq!((back.role, back.outputs.len()), (Role::Source, 1));
+        let gateway = Registration {
+            role: Role::Gateway,
+            ..registration
+        };
+        let error = read(whole(write(&gateway, false))).map(|_| ()).unwrap_err();
+        assert!(error.contains("role: expected"), "{error}");
     }
 
     #[test]
     fn refuses_what_cannot_be_with_what_was_expected() {
         let cases = [
             (r#"{"inputs": [], "outputs": []}"#, "at least one input"),
+            (r#"{"role": "radio", "inputs": [], "outputs": []}"#, "found `radio`"),
+            (
+                r#"{"role": "source", "inputs": [], "outputs": []}"#,
+                "at least one output",
+            ),
+            (
+                r#"{"role": "source", "inputs": [{"name": "a", "types": ["Boxes"]}], "outputs": []}"#,
+                "expected no input, found 1",
+            ),
+            (
+                r#"{"role": "sink", "inputs": [{"name": "a", "types": ["Boxes"]}], "outputs": [{"name": "b", "types": ["Boxes"]}]}"#,
+                "expected no output, found 1",
+            ),
             (
                 r#"{"inputs": [{"name": "a", "types": ["Boxs"]}], "outputs": []}"#,
                 "`Boxs`",

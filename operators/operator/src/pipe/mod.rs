@@ -19,13 +19,15 @@
 //!
 //! | frame | direction | columns |
 //! |---|---|---|
-//! | hello | first from the program | `version` (u32), `name`, `memory` (`memfd` or `pipe`), `ports` (JSON: `inputs` and `outputs`, each a list of `name`, `types`, `about`, for inputs also `queue`, `class`, `required`, `join`, `accounts`, `wire`, and for both `lane`) |
+//! | hello | first from the program | `version` (u32), `name`, `memory` (`memfd` or `pipe`), `ports` (JSON: `role`, where it is not `operator`; `inputs` and `outputs`, each a list of `name`, `types`, `about`, for inputs also `queue`, `class`, `required`, `join`, `accounts`, `wire`, and for both `lane`) |
 //! | call | to the program | `call` (`input`, `wake` or `end`), `port`, `now` (i64, ns), for an input `message` (struct) |
 //! | reply | one for each call | `error` (empty: none), `ports` (list), `message_0`, `message_1`, … (structs; one for each of `ports`), `wakes` (list of i64, ns), `counters` (list), `counts` (list of u64), `reported` (JSON: `fates` and `traffic`, what the operator says of messages that cross links; `losses`, by counter what is lost: `meaning`, `note`, `remedy`, `agents`) |
 //!
 //! A message is a struct as [`realo_schemas::wire`] makes it; its `ready` is when the program wishes it to be sent. An
 //! error in a reply belongs to one message and is counted; a program that exits, closes its output or answers
-//! something else fails the run. After the reply to `end` its standard input is closed, and it exits with 0.
+//! something else fails the run. A program may be a source or a sink of a graph in realtime, too. A source has no inputs; it is woken
+//! again and again, waits up to 0.1 s for what comes from outside, replies with what came, and ends its streams by a reply without
+//! wakes. A sink has no outputs; it is woken once, before its first input, to open what it needs. After the reply to `end` its standard input is closed, and it exits with 0.
 
 pub mod frame;
 pub mod hello;

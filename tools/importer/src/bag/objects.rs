@@ -3,7 +3,7 @@
 use std::collections::BTreeMap;
 
 use nalgebra::Isometry3;
-use realo_bags::map_file::MapFile;
+use realo_bags::map_file::{MapFile, way};
 use realo_bags::messages::{Object, Objects};
 use realo_logs::{Frames, bare, track_of};
 use realo_schemas::geometry::{interpolate, yaw_of};
@@ -12,7 +12,7 @@ use realo_schemas::{Box3, Nanos, to_seconds};
 use super::Counted;
 use super::agents::Agent;
 use super::small::At;
-use super::track::{Track, way};
+use super::track::Track;
 
 /// Objects of a message are those of a sweep so near to it, ns.
 const SAME: Nanos = 1_000_000;

@@ -5,15 +5,15 @@ use std::collections::{BTreeSet, VecDeque};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use realo_bags::Messages;
 use realo_bags::map_file::Height;
+use realo_logs::Frames;
 use realo_logs::cloud::{CloudReader, Reading};
-use realo_logs::{Frames, bare};
 use realo_schemas::geometry::{level_from_body, tilt_degrees};
 use realo_schemas::{Nanos, PointCloud};
 
 use super::agents::Agent;
 use super::clocks::AgentClock;
 use super::heads::{Heads, stamp_of};
-use super::track::{Track, way};
+use super::track::Track;
 use super::{Counted, Import};
 use crate::ImportError;
 use crate::level::{BELOW_A_SENSOR, Plane, by_pose};
@@ -155,7 +155,7 @@ impl<'a> Sweeps<'a> {
             return Err("its stamp is before 1970".into());
         }
         let world_from_frame = self.track.at(stamp).ok_or("no pose is near its stamp")?;
-        let frame_from_lidar = mount(self.agent, self.frames, reader.frame, stamp)?;
+        let frame_from_lidar = self.agent.map.mount(self.frames, reader.frame, stamp)?;
         let body_from_frame = by_pose(&world_from_frame.rotation, self.height);
         let reading = Reading {
             scale: self.heads[topic].scale,
@@ -213,23 +213,6 @@ fn both(one: &PointCloud, other: &PointCloud, later: i32) -> PointCloud {
     .expect("all columns are of both clouds")
 }
 
-/// An agent's frame from a sensor's.
-pub fn mount(agent: &Agent, frames: &Frames, sensor: &str, stamp: Nanos) -> Result<Isometry3<f64>, String> {
-    let (sensor, own) = (bare(sensor), bare(&agent.map.frame));
-    if sensor == own {
-        return Ok(Isometry3::identity());
-    }
-    if let Some((_, pose)) = agent.map.mounted().find(|(known, _)| bare(known) == sensor) {
-        return Ok(pose);
-    }
-    way(frames, own, sensor, stamp).map_err(|reason| {
-        format!(
-            "its frame is `{sensor}`, and no transform leads to the agent's frame `{own}`: {reason}; add `mounts: {{{sensor}: [x, y, z, roll, \
-             pitch, yaw]}}` to the agent in the map file"
-        )
-    })
-}
-
 /// How high an agent's frame is over the ground, m.
 ///
 /// # Errors
@@ -264,7 +247,7 @@ fn over_ground(
     sensor: &str,
     cloud: &PointCloud,
 ) -> Result<f64, String> {
-    let frame_from_lidar = mount(agent, frames, sensor, stamp)?;
+    let frame_from_lidar = agent.map.mount(frames, sensor, stamp)?;
     let level: UnitQuaternion<f64> = track
         .at(stamp)
         .map_or_else(UnitQuaternion::identity, |pose| level_from_body(&pose.rotation));

@@ -1,9 +1,9 @@
 //! Where an agent's frame is in the world, over time.
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use realo_bags::map_file::PoseSource;
+use realo_bags::map_file::{PoseSource, way};
 use realo_bags::messages::{Attitude, Fix, Kind};
-use realo_logs::{Frames, MapOrigin, NoWay, bare};
+use realo_logs::{MapOrigin, bare};
 use realo_schemas::geometry::interpolate;
 use realo_schemas::{Nanos, to_millis, to_seconds};
 
@@ -214,14 +214,6 @@ fn words_of(kind: Kind) -> &'static str {
         Kind::PoseStamped => "PoseStamped",
         _ => "PoseWithCovarianceStamped",
     }
-}
-
-/// Brings one frame to another.
-pub fn way(frames: &Frames, to: &str, from: &str, stamp: Nanos) -> Result<Isometry3<f64>, String> {
-    let way = frames.way(bare(to), bare(from), stamp);
-    way.map(|way| way.to_from_from).map_err(|no_way| match no_way {
-        NoWay::Gap(reason) | NoWay::Never(reason) => reason,
-    })
 }
 
 fn of_transforms(

@@ -10,7 +10,7 @@ use super::agents::Agent;
 use super::clocks::Clocks;
 use super::objects::Timeline;
 use super::small::{AgentSmall, Small};
-use super::sweeps::{Sweep, Sweeps, height, mount};
+use super::sweeps::{Sweep, Sweeps, height};
 use super::track::{Track, origin, track};
 use super::{BagAgent, BagSummary, Counted, Import};
 use crate::ImportError;
@@ -146,7 +146,7 @@ fn info(import: &Import, small: &Small, states: &[State], origin: Option<[f64; 3
         let heads = &small.agents[place].heads[0];
         let frames = &small.bags[agent.bag].frames;
         let first = heads.first.first();
-        let lidar = first.and_then(|(stamp, sensor, _)| mount(agent, frames, sensor, *stamp).ok());
+        let lidar = first.and_then(|(stamp, sensor, _)| agent.map.mount(frames, sensor, *stamp).ok());
         let position = lidar.map(|pose| {
             let [x, y, z] = pose.translation.vector.into();
             [x, y, z + states[place].height]
