@@ -1,6 +1,6 @@
 //! From the nodes of a graph to stages that can be called.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::path::Path;
 
 use realo_engine::Wiring;
@@ -103,14 +103,14 @@ impl Stages {
         Ok(())
     }
 
-    /// Has the outputs that a tap wants leave their stages; gives these.
-    pub(crate) fn let_see(&mut self, tap: &Tap) -> BTreeSet<(usize, PortId)> {
-        let mut seen = BTreeSet::new();
+    /// Has the outputs that a tap wants leave their stages; gives these, each with its number.
+    pub(crate) fn let_see(&mut self, tap: &Tap) -> BTreeMap<(usize, PortId), u32> {
+        let mut seen = BTreeMap::new();
         for (index, stage) in self.wiring.stages.iter_mut().enumerate() {
             for (number, output) in stage.registration.outputs.iter().enumerate() {
-                if tap.wants(&stage.id, output.name) {
+                if let Some(wanted) = tap.wants(&stage.id, output.name) {
                     stage.leaves[number] = true;
-                    seen.insert((index, PortId(number)));
+                    seen.insert((index, PortId(number)), wanted);
                 }
             }
         }

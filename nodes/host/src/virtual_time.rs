@@ -5,11 +5,12 @@
 //! child process and answers one call at a time, so it changes nothing in that order.
 
 use std::cell::RefCell;
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use realo_engine::{Engine, EngineError, Leaving, Servers, Step, Task, Wired};
-use realo_operator::{Books, Built, Counts, Outputs, Role};
+use realo_operator::{Books, Built, Counts, Outputs, PortId, Role};
 use realo_schemas::{Message, Nanos};
 use rustix::time::{ClockId, clock_gettime};
 
@@ -111,11 +112,11 @@ pub fn run_tapped(
     watch: impl FnMut(Progress),
 ) -> Result<Books, RunError> {
     let mut stages = stages.clone();
-    stages.let_see(tap);
+    let tapped = stages.let_see(tap);
     let simulation = Simulation::begin(&stages, compute, None, None)?;
     play(
         Simulation {
-            tap: Some(tap),
+            tap: Some((tap, &tapped)),
             ..simulation
         },
         None,
@@ -274,7 +275,8 @@ struct Simulation<'a> {
     shared: Option<&'a Shared>,
     compute: &'a ComputeProfile,
     observer: Option<Observer<'a>>,
-    tap: Option<&'a Tap>,
+    /// A tap, and the numbers of the outputs that it wants.
+    tap: Option<(&'a Tap, &'a BTreeMap<(usize, PortId), u32>)>,
     /// Time of the last event.
     now: Nanos,
     /// What the calls of each stage took on this machine, ns.
@@ -360,12 +362,14 @@ impl<'a> Simulation<'a> {
         }
         // The sinks of this graph know it.
         let fates = self.engine.take_fates();
-        if let Some(tap) = self.tap {
+        if let Some((tap, _)) = self.tap {
             tap.see_fates(&fates);
         }
         for Leaving { stage, port, message } in self.engine.take_leaving() {
-            if let Some(tap) = self.tap {
-                tap.see(&message);
+            if let Some((tap, tapped)) = self.tap
+                && let Some(output) = tapped.get(&(stage, port))
+            {
+                tap.see(*output, &message);
             }
             if let Some(observer) = &mut self.observer {
                 let output = self.engine.registration(stage).outputs[port.0].name;

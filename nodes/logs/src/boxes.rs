@@ -356,7 +356,7 @@ fn color_of(class: &str) -> [f32; 4] {
     [r, g, b, 0.5]
 }
 
-fn pose_of(object: &Box3) -> [f64; 7] {
+pub(crate) fn pose_of(object: &Box3) -> [f64; 7] {
     let [x, y, z] = object.center;
     let (sin, cos) = nalgebra::ComplexField::sin_cos(object.yaw / 2.0);
     [x, y, z, 0.0, 0.0, sin, cos]

@@ -61,6 +61,7 @@ mod precomputed;
 mod rebase;
 mod records;
 mod repeats;
+pub mod scene;
 mod schema;
 mod stamps;
 mod sweeps;

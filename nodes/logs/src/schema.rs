@@ -31,9 +31,12 @@ pub enum Schema {
     PacketInfo,
     /// What an agent sent, computed beforehand.
     SentPacket,
+    /// Boxes for Foxglove's viewers, while a run goes on; not in logs.
+    SceneUpdate,
 }
 
 impl Schema {
+    /// The types of logs.
     const ALL: [Schema; 14] = [
         Schema::PointCloud2,
         Schema::Header,
@@ -51,7 +54,7 @@ impl Schema {
         Schema::SentPacket,
     ];
 
-    /// The schema of a name, if it is one of these.
+    /// The schema of a name, if it is one of logs.
     pub fn named(name: &str) -> Option<Self> {
         Schema::ALL.into_iter().find(|schema| schema.name() == name)
     }
@@ -99,6 +102,7 @@ impl Schema {
             Schema::String => "std_msgs/String",
             Schema::PacketInfo => "realo_msgs/PacketInfo",
             Schema::SentPacket => "realo_msgs/SentPacket",
+            Schema::SceneUpdate => "foxglove_msgs/SceneUpdate",
         }
     }
 }
@@ -280,6 +284,64 @@ const DEFINITIONS: &[(&str, &str)] = &[
          string kind\nuint64 seq\n\
          # Codecs, first applied first.\n\
          string[] codec\nuint8[] data\n",
+    ),
+    (
+        "foxglove_msgs/SceneUpdate",
+        "foxglove_msgs/SceneEntityDeletion[] deletions\nfoxglove_msgs/SceneEntity[] entities\n",
+    ),
+    (
+        "foxglove_msgs/SceneEntityDeletion",
+        "uint8 MATCHING_ID=0\nuint8 ALL=1\nbuiltin_interfaces/Time timestamp\nuint8 type\nstring id\n",
+    ),
+    (
+        "foxglove_msgs/SceneEntity",
+        "builtin_interfaces/Time timestamp\nstring frame_id\nstring id\nbuiltin_interfaces/Duration lifetime\n\
+         bool frame_locked\nfoxglove_msgs/KeyValuePair[] metadata\nfoxglove_msgs/ArrowPrimitive[] arrows\n\
+         foxglove_msgs/CubePrimitive[] cubes\nfoxglove_msgs/SpherePrimitive[] spheres\n\
+         foxglove_msgs/CylinderPrimitive[] cylinders\nfoxglove_msgs/LinePrimitive[] lines\n\
+         foxglove_msgs/TriangleListPrimitive[] triangles\nfoxglove_msgs/TextPrimitive[] texts\n\
+         foxglove_msgs/ModelPrimitive[] models\n",
+    ),
+    ("foxglove_msgs/KeyValuePair", "string key\nstring value\n"),
+    ("foxglove_msgs/Color", "float64 r\nfloat64 g\nfloat64 b\nfloat64 a\n"),
+    (
+        "foxglove_msgs/ArrowPrimitive",
+        "geometry_msgs/Pose pose\nfloat64 shaft_length\nfloat64 shaft_diameter\nfloat64 head_length\n\
+         float64 head_diameter\nfoxglove_msgs/Color color\n",
+    ),
+    (
+        "foxglove_msgs/CubePrimitive",
+        "geometry_msgs/Pose pose\ngeometry_msgs/Vector3 size\nfoxglove_msgs/Color color\n",
+    ),
+    (
+        "foxglove_msgs/SpherePrimitive",
+        "geometry_msgs/Pose pose\ngeometry_msgs/Vector3 size\nfoxglove_msgs/Color color\n",
+    ),
+    (
+        "foxglove_msgs/CylinderPrimitive",
+        "geometry_msgs/Pose pose\ngeometry_msgs/Vector3 size\nfloat64 bottom_scale\nfloat64 top_scale\n\
+         foxglove_msgs/Color color\n",
+    ),
+    (
+        "foxglove_msgs/LinePrimitive",
+        "uint8 LINE_STRIP=0\nuint8 LINE_LOOP=1\nuint8 LINE_LIST=2\nuint8 type\ngeometry_msgs/Pose pose\n\
+         float64 thickness\nbool scale_invariant\ngeometry_msgs/Point[] points\nfoxglove_msgs/Color color\n\
+         foxglove_msgs/Color[] colors\nuint32[] indices\n",
+    ),
+    (
+        "foxglove_msgs/TriangleListPrimitive",
+        "geometry_msgs/Pose pose\ngeometry_msgs/Point[] points\nfoxglove_msgs/Color color\n\
+         foxglove_msgs/Color[] colors\nuint32[] indices\n",
+    ),
+    (
+        "foxglove_msgs/TextPrimitive",
+        "geometry_msgs/Pose pose\nbool billboard\nfloat64 font_size\nbool scale_invariant\n\
+         foxglove_msgs/Color color\nstring text\n",
+    ),
+    (
+        "foxglove_msgs/ModelPrimitive",
+        "geometry_msgs/Pose pose\ngeometry_msgs/Vector3 scale\nfoxglove_msgs/Color color\nbool override_color\n\
+         string url\nstring media_type\nuint8[] data\n",
     ),
 ];
 

@@ -3,6 +3,7 @@
 //! The books of all nodes end `/reports`. Log time is ready, publish time the stamp. The file grows at least every half
 //! second of log time: the recording of a run that was killed can be read.
 
+mod channels;
 mod error;
 mod log;
 mod read;
@@ -15,13 +16,15 @@ use realo_schemas::report::Fated;
 use realo_schemas::{AgentState, Boxes, GroundTruth, Header, Packet, PointCloud, Report};
 use serde::{Deserialize, Serialize};
 
+pub use channels::{
+    Channels, FATES, Times, put_boxes, put_cloud, put_fates, put_packet, put_report, put_state, put_truth,
+};
 pub use error::RecorderError;
 pub use log::{LogRecorder, Settings as LogSettings};
 pub use read::{
     BoxesOf, ReportsOf, StatesOf, TruthOf, boxes_of, read_boxes, read_detections, read_reports, read_truth, reports_of,
     states_of, truth_of,
 };
-pub use recording::FATES;
 use recording::Recording;
 
 /// Settings of the recorder.
@@ -90,16 +93,16 @@ impl Sink for Recorder {
             return Err(RecorderError::Finished.into());
         };
         match input {
-            Input::Boxes(header, boxes) => recording.boxes("boxes", &header, &boxes)?,
+            Input::Boxes(header, boxes) => put_boxes(recording, "boxes", &header, &boxes)?,
             Input::EgoBoxes(header, boxes) | Input::OtherBoxes(header, boxes) => {
-                recording.boxes("detections", &header, &boxes)?;
+                put_boxes(recording, "detections", &header, &boxes)?;
             }
-            Input::EgoState(header, state) | Input::States(header, state) => recording.state(&header, &state)?,
-            Input::Truth(header, truth) => recording.truth(&header, &truth)?,
-            Input::Packets(header, packet) => recording.packet(&header, &packet)?,
-            Input::Evaluation(header, report) => recording.report(&header, &report)?,
+            Input::EgoState(header, state) | Input::States(header, state) => put_state(recording, &header, &state)?,
+            Input::Truth(header, truth) => put_truth(recording, &header, &truth)?,
+            Input::Packets(header, packet) => put_packet(recording, &header, &packet)?,
+            Input::Evaluation(header, report) => put_report(recording, &header, &report)?,
             Input::EgoClouds(header, cloud) | Input::Clouds(header, cloud) if self.clouds => {
-                recording.cloud(&header, &cloud)?;
+                put_cloud(recording, &header, &cloud)?;
             }
             Input::EgoClouds(..) | Input::Clouds(..) => {}
         }
@@ -108,7 +111,10 @@ impl Sink for Recorder {
 
     fn fates(&mut self, fates: &[Fated]) -> Result<(), Error> {
         match &mut self.recording {
-            Some(recording) if !fates.is_empty() => Ok(recording.fates(fates)?),
+            Some(recording) if !fates.is_empty() => {
+                let last = recording.last();
+                Ok(put_fates(recording, last, fates)?)
+            }
             _ => Ok(()),
         }
     }

@@ -3,7 +3,7 @@
 use std::io::{self, Write};
 use std::net::{Shutdown, TcpStream};
 use std::sync::{Arc, Mutex};
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use crate::frames::{self, Kind, Received};
 use crate::head::{self, Asked, Refusal};
@@ -11,11 +11,11 @@ use crate::ring::{Next, Place, Ring, Shown};
 use crate::server::Shared;
 
 /// A client that takes nothing for so long is gone.
-const TO_READ: Duration = Duration::from_secs(5);
-/// Without a picture, a client is asked so often whether it is there.
-const PING: Duration = Duration::from_secs(2);
+pub const TO_READ: Duration = Duration::from_secs(5);
+/// A client is asked so often whether it is there.
+pub const PING: Duration = Duration::from_secs(2);
 /// A client that says nothing for so long, though it is asked, is gone.
-const TO_ANSWER: Duration = Duration::from_secs(20);
+pub const TO_ANSWER: Duration = Duration::from_secs(20);
 
 /// Answers one connection.
 pub fn serve(mut stream: TcpStream, shared: &Shared) {
@@ -43,7 +43,7 @@ pub fn turn_away(mut stream: TcpStream) {
     );
 }
 
-fn refuse(stream: &mut TcpStream, (status, words): Refusal) -> io::Result<()> {
+pub fn refuse(stream: &mut TcpStream, (status, words): Refusal) -> io::Result<()> {
     answer(stream, status, "text/plain; charset=utf-8", &format!("{words}\n"))
 }
 
@@ -59,16 +59,21 @@ fn answer(stream: &mut TcpStream, status: &str, kind: &str, body: &str) -> io::R
     stream.shutdown(Shutdown::Write)
 }
 
+/// Ends the handshake: what follows is WebSocket, and of the protocol that both speak.
+pub fn greet(stream: &mut TcpStream, key: &str, protocol: Option<&str>) -> io::Result<()> {
+    let accepted = frames::accept(key);
+    let protocol = protocol.map(|protocol| format!("Sec-WebSocket-Protocol: {protocol}\r\n"));
+    let head = format!(
+        "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Accept: {accepted}\r\n{}\r\n",
+        protocol.unwrap_or_default()
+    );
+    stream.write_all(head.as_bytes())
+}
+
 /// Shows pictures to a client until it leaves.
 fn show(mut stream: TcpStream, key: &str, shared: &Shared) -> io::Result<()> {
     stream.set_nodelay(true)?;
-    let accepted = frames::accept(key);
-    stream.write_all(
-        format!(
-            "HTTP/1.1 101 Switching Protocols\r\nUpgrade: websocket\r\nConnection: Upgrade\r\nSec-WebSocket-Accept: {accepted}\r\n\r\n"
-        )
-        .as_bytes(),
-    )?;
+    greet(&mut stream, key, None)?;
     let heard = Arc::new(Heard::default());
     let listening = listen(stream.try_clone()?, heard.clone(), shared.ring.clone())?;
     let shown = send_all(&mut stream, &heard, &shared.ring);
@@ -110,9 +115,14 @@ fn listen(mut stream: TcpStream, heard: Arc<Heard>, ring: Arc<Ring>) -> io::Resu
 }
 
 fn send_all(stream: &mut TcpStream, heard: &Heard, ring: &Ring) -> io::Result<()> {
-    let mut place = Place::default();
+    let (mut place, mut pinged) = (Place::default(), Instant::now());
     loop {
         let next = ring.next(&mut place, PING);
+        // Also where a picture follows the other: who only looks says nothing unasked.
+        if pinged.elapsed() >= PING {
+            frames::write(stream, Kind::Ping, b"")?;
+            pinged = Instant::now();
+        }
         let (ping, left) = heard.take();
         if let Some(content) = ping {
             frames::write(stream, Kind::Pong, &content)?;
@@ -123,7 +133,7 @@ fn send_all(stream: &mut TcpStream, heard: &Heard, ring: &Ring) -> io::Result<()
         match next {
             Next::Shown(Shown::Text(text)) => frames::write(stream, Kind::Text, text.as_bytes())?,
             Next::Shown(Shown::Picture(bytes)) => frames::write(stream, Kind::Binary, &bytes)?,
-            Next::Wait => frames::write(stream, Kind::Ping, b"")?,
+            Next::Wait => {}
             // 1001: the server goes away.
             Next::Closed => return frames::write(stream, Kind::Close, &1001u16.to_be_bytes()),
         }

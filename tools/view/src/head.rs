@@ -51,43 +51,90 @@ pub fn read(stream: &mut TcpStream) -> Option<String> {
     String::from_utf8(head).ok()
 }
 
+/// A request for something that this machine serves.
+pub struct Request<'a> {
+    path: &'a str,
+    /// The host (name or number, and port) by which the client knows this server.
+    pub host: &'a str,
+    fields: Vec<(&'a str, &'a str)>,
+}
+
+impl<'a> Request<'a> {
+    /// Takes a head apart. `here`: names of this machine.
+    ///
+    /// # Errors
+    /// What is not a GET of a browser that means this machine.
+    pub fn read(head: &'a str, here: &[String]) -> Result<Self, Refusal> {
+        let mut lines = head.split("\r\n");
+        let mut words = lines.next().unwrap_or_default().split(' ');
+        let (Some(method), Some(path), Some("HTTP/1.1"), None) =
+            (words.next(), words.next(), words.next(), words.next())
+        else {
+            return Err(BAD);
+        };
+        let fields: Vec<(&str, &str)> = lines
+            .take_while(|line| !line.is_empty())
+            .map(|line| line.split_once(':').map(|(name, value)| (name, value.trim())))
+            .collect::<Option<_>>()
+            .ok_or(BAD)?;
+        let host = one(&fields, "host")?.ok_or(BAD)?;
+        if !is_here(host, here) {
+            return Err(STRANGER);
+        }
+        if method != "GET" {
+            return Err(METHOD);
+        }
+        Ok(Request { path, host, fields })
+    }
+
+    /// Of which page the script is that asks: a browser says it.
+    ///
+    /// # Errors
+    /// Several.
+    pub fn origin(&self) -> Result<Option<&'a str>, Refusal> {
+        one(&self.fields, "origin")
+    }
+
+    /// Whether it asks for a WebSocket.
+    pub fn upgrades(&self) -> Result<bool, Refusal> {
+        let is = |name, expected: &str| -> Result<bool, Refusal> {
+            let value = one(&self.fields, name)?.unwrap_or_default();
+            Ok(value.split(',').any(|word| word.trim().eq_ignore_ascii_case(expected)))
+        };
+        Ok(is("upgrade", "websocket")? && is("connection", "upgrade")?)
+    }
+
+    /// The client's key of the handshake of a WebSocket.
+    ///
+    /// # Errors
+    /// A request that is no such handshake.
+    pub fn key(&self) -> Result<&'a str, Refusal> {
+        let key = one(&self.fields, "sec-websocket-key")?.filter(|key| key.len() == 24);
+        let fits = self.upgrades()? && one(&self.fields, "sec-websocket-version") == Ok(Some("13"));
+        key.filter(|_| fits).ok_or(BAD)
+    }
+
+    /// The protocols that the client speaks over a WebSocket, the ones it likes best first.
+    pub fn protocols(&self) -> impl Iterator<Item = &'a str> {
+        let named = self
+            .fields
+            .iter()
+            .filter(|(name, _)| name.eq_ignore_ascii_case("sec-websocket-protocol"));
+        named.flat_map(|(_, value)| value.split(',').map(str::trim))
+    }
+}
+
 /// What a head asks for. `here`: names of this machine.
 pub fn asked(head: &str, here: &[String]) -> Result<Asked, Refusal> {
-    let mut lines = head.split("\r\n");
-    let mut words = lines.next().unwrap_or_default().split(' ');
-    let (Some(method), Some(path), Some("HTTP/1.1"), None) = (words.next(), words.next(), words.next(), words.next())
-    else {
-        return Err(BAD);
-    };
-    let fields: Vec<(&str, &str)> = lines
-        .take_while(|line| !line.is_empty())
-        .map(|line| line.split_once(':').map(|(name, value)| (name, value.trim())))
-        .collect::<Option<_>>()
-        .ok_or(BAD)?;
-    let host = one(&fields, "host")?.ok_or(BAD)?;
-    if !is_here(host, here) {
-        return Err(STRANGER);
-    }
-    if method != "GET" {
-        return Err(METHOD);
-    }
-    match path {
-        "/" => Ok(Asked::Page(host.into())),
+    let request = Request::read(head, here)?;
+    match request.path {
+        "/" => Ok(Asked::Page(request.host.into())),
         "/pictures" => {
-            // A browser says of which page a script is; nobody else's may look.
-            if one(&fields, "origin")?.and_then(|origin| origin.strip_prefix("http://")) != Some(host) {
+            // Nobody else's page may look.
+            if request.origin()?.and_then(|origin| origin.strip_prefix("http://")) != Some(request.host) {
                 return Err(STRANGER);
             }
-            let is = |name, expected: &str| -> Result<bool, Refusal> {
-                let value = one(&fields, name)?.unwrap_or_default();
-                Ok(value.split(',').any(|word| word.trim().eq_ignore_ascii_case(expected)))
-            };
-            let upgrades = is("upgrade", "websocket")? && is("connection", "upgrade")?;
-            let key = one(&fields, "sec-websocket-key")?.filter(|key| key.len() == 24);
-            match key.filter(|_| upgrades && one(&fields, "sec-websocket-version") == Ok(Some("13"))) {
-                Some(key) => Ok(Asked::Pictures(key.into())),
-                None => Err(BAD),
-            }
+            Ok(Asked::Pictures(request.key()?.into()))
         }
         _ => Err(NOTHING),
     }
@@ -105,13 +152,22 @@ fn one<'a>(fields: &[(&str, &'a str)], name: &str) -> Result<Option<&'a str>, Re
 /// Whether a host is this machine: a number, which no page elsewhere can take as its name, or a name of it. The port may be another,
 /// where somebody passes it on (`ssh -L`).
 fn is_here(host: &str, here: &[String]) -> bool {
+    name_of(host).is_some_and(|name| name.parse::<IpAddr>().is_ok() || is_name(name, here))
+}
+
+/// Whether this is a name of this machine.
+pub fn is_name(name: &str, here: &[String]) -> bool {
+    here.iter().any(|known| known.eq_ignore_ascii_case(name))
+}
+
+/// The name or number of a host that may have a port behind it.
+pub fn name_of(host: &str) -> Option<&str> {
     let (name, port) = match host.strip_prefix('[') {
-        Some(rest) => rest.split_once(']').unwrap_or(("", "?")),
+        Some(rest) => rest.split_once(']')?,
         None => host.split_at(host.find(':').unwrap_or(host.len())),
     };
     let is_port = port.is_empty() || port.strip_prefix(':').is_some_and(|port| port.parse::<u16>().is_ok());
-    let is_name = name.parse::<IpAddr>().is_ok() || here.iter().any(|known| known.eq_ignore_ascii_case(name));
-    is_port && is_name
+    is_port.then_some(name)
 }
 
 #[cfg(test)]

@@ -30,15 +30,15 @@ const LOWER: i32 = 10;
 /// One thing that is seen.
 #[derive(Clone, Debug, PartialEq)]
 pub enum Seen {
-    /// A message of an output that was asked for; of a sweep so many points that they can be drawn.
-    Message(Box<Message>),
+    /// A message of an output that was asked for, and the number of this output; of a sweep so many points that they can be drawn.
+    Message(u32, Box<Message>),
     /// What became of messages that crossed links.
     Fates(Vec<Fated>),
 }
 
 impl Seen {
     fn is_cloud(&self) -> bool {
-        matches!(self, Seen::Message(message) if matches!(message.payload, Payload::PointCloud(_)))
+        matches!(self, Seen::Message(_, message) if matches!(message.payload, Payload::PointCloud(_)))
     }
 }
 
@@ -100,17 +100,18 @@ impl Tap {
         Ok(Tap(shared))
     }
 
-    /// Whether an output of a stage is seen.
-    pub fn wants(&self, stage: &str, output: &str) -> bool {
+    /// The number of an output of a stage among those that are seen, if it is one of them.
+    pub fn wants(&self, stage: &str, output: &str) -> Option<u32> {
         let mut outputs = self.0.outputs.iter();
-        outputs.any(|(of, name)| of == stage && name == output)
+        let found = outputs.position(|(of, name)| of == stage && name == output)?;
+        u32::try_from(found).ok()
     }
 
-    /// Shows a message of an output that is wanted.
-    pub fn see(&self, message: &Message) {
+    /// Shows a message of the output with this number.
+    pub fn see(&self, output: u32, message: &Message) {
         let mut waiting = self.0.lock();
         if !waiting.closed && waiting.gate.lets_through(message, Instant::now()) {
-            waiting.put(Seen::Message(Box::new(message.clone())));
+            waiting.put(Seen::Message(output, Box::new(message.clone())));
             self.0.changed.notify_all();
         }
     }
@@ -169,7 +170,7 @@ impl Shared {
     fn give_all(&self, give: &mut dyn FnMut(Seen) -> bool) {
         while let Some(seen) = self.take() {
             let wants_more = give(match seen {
-                Seen::Message(message) => Seen::Message(Box::new(thin::thinned(*message))),
+                Seen::Message(output, message) => Seen::Message(output, Box::new(thin::thinned(*message))),
                 other => other,
             });
             if !wants_more {
@@ -220,12 +221,15 @@ mod tests {
             false
         })
         .unwrap();
-        assert!(tap.wants("fusion.nms", "boxes") && !tap.wants("ego.nms", "boxes"));
+        assert_eq!(
+            (tap.wants("fusion.nms", "boxes"), tap.wants("ego.nms", "boxes")),
+            (Some(0), None)
+        );
         let boxes = message(Kind::Boxes, 7, Boxes::default());
-        tap.see(&boxes);
+        tap.see(0, &boxes);
         tap.flush(Duration::from_secs(60));
-        assert_eq!(given.recv().unwrap(), Seen::Message(Box::new(boxes.clone())));
-        tap.see(&boxes);
+        assert_eq!(given.recv().unwrap(), Seen::Message(0, Box::new(boxes.clone())));
+        tap.see(0, &boxes);
         tap.see_fates(&[]);
         assert!(given.recv().is_err(), "it wanted no more");
     }
@@ -235,13 +239,13 @@ mod tests {
         let (let_go, held) = channel::<()>();
         let tap = Tap::new(Vec::new(), Sweeps::OneOf(1), move |_| held.recv().is_ok()).unwrap();
         for at in 0..10_000 {
-            tap.see(&message(Kind::Boxes, at, Boxes::default()));
-            tap.see(&message(Kind::Points, at, PointCloud::empty()));
+            tap.see(0, &message(Kind::Boxes, at, Boxes::default()));
+            tap.see(1, &message(Kind::Points, at, PointCloud::empty()));
         }
         let waiting = tap.0.lock();
         let clouds = waiting.seen.iter().filter(|seen| seen.is_cloud()).count();
         assert_eq!((clouds, waiting.seen.len()), (MOST_CLOUDS, MOST_CLOUDS + MOST_WAITING));
-        let Some(Seen::Message(newest)) = waiting.seen.back() else {
+        let Some(Seen::Message(1, newest)) = waiting.seen.back() else {
             panic!("a message is the newest");
         };
         assert_eq!(newest.header.stamp, 9_999);

@@ -158,24 +158,27 @@ fn decoded(kind: u8, bytes: &[u8]) -> io::Result<Seen> {
     if kind == FATES {
         return Ok(Seen::Fates(serde_json::from_slice(bytes)?));
     }
-    let mut reader = StreamReader::try_new(bytes, None).map_err(io::Error::other)?;
+    let (output, row) = bytes.split_first_chunk().ok_or(io::ErrorKind::UnexpectedEof)?;
+    let output = u32::from_le_bytes(*output);
+    let mut reader = StreamReader::try_new(row, None).map_err(io::Error::other)?;
     let batch = reader.next().ok_or(io::ErrorKind::UnexpectedEof)?;
     let row = StructArray::from(batch.map_err(io::Error::other)?);
     wire::from_arrow(&row)
-        .map(|message| Seen::Message(Box::new(message)))
+        .map(|message| Seen::Message(output, Box::new(message)))
         .map_err(io::Error::other)
 }
 
 fn encoded(seen: &Seen) -> io::Result<(u8, Vec<u8>)> {
     match seen {
         Seen::Fates(fates) => Ok((FATES, serde_json::to_vec(fates)?)),
-        Seen::Message(message) => Ok((MESSAGE, row(message)?)),
+        Seen::Message(output, message) => Ok((MESSAGE, row(*output, message)?)),
     }
 }
 
-fn row(message: &Message) -> io::Result<Vec<u8>> {
+/// The number of an output, and its message as a row of Arrow.
+fn row(output: u32, message: &Message) -> io::Result<Vec<u8>> {
     let batch = RecordBatch::from(wire::to_arrow(message));
-    let mut bytes = Vec::new();
+    let mut bytes = output.to_le_bytes().to_vec();
     let mut write = || {
         let mut writer = StreamWriter::try_new(&mut bytes, &batch.schema())?;
         writer.write(&batch)?;
@@ -228,7 +231,7 @@ mod tests {
             r#use: Some(Use { query: 3, age_ns: 5 }),
         };
         [
-            Seen::Message(Box::new(Message::new(header, Boxes::default()))),
+            Seen::Message(3, Box::new(Message::new(header, Boxes::default()))),
             Seen::Fates(vec![fated]),
         ]
     }

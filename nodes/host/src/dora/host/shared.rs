@@ -1,6 +1,6 @@
 //! What threads of a host share.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicI64, Ordering};
 use std::sync::{Condvar, Mutex, MutexGuard};
 use std::time::Duration;
@@ -33,7 +33,7 @@ pub(crate) struct Shared {
     pub(super) wake: WakeHandle,
     /// Who watches the run, and the outputs that are seen.
     pub(super) tap: Option<Tap>,
-    pub(super) tapped: BTreeSet<(usize, PortId)>,
+    pub(super) tapped: BTreeMap<(usize, PortId), u32>,
 }
 
 pub(crate) struct State {
@@ -93,8 +93,8 @@ impl Shared {
     /// Sends what leaves the process.
     pub fn send_all(&self, leaving: Vec<Leaving>) -> Result<(), HostError> {
         leaving.into_iter().try_for_each(|Leaving { stage, port, message }| {
-            if let Some(tap) = self.tap.as_ref().filter(|_| self.tapped.contains(&(stage, port))) {
-                tap.see(&message);
+            if let (Some(tap), Some(output)) = (&self.tap, self.tapped.get(&(stage, port))) {
+                tap.see(*output, &message);
             }
             self.send((stage, port), &message)
         })
