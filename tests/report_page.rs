@@ -125,6 +125,29 @@ fn the_player_has_the_boxes_that_the_results_count() {
 }
 
 #[test]
+fn what_was_sent_in_each_second_adds_up_to_what_the_results_count() {
+    let page = folder("report_carried").join("report.html");
+    let [late, alone] = runs();
+    let (code, said) = report(&[&late, &alone], &page, &[]);
+    assert_eq!(code, Some(0), "{said}");
+    let runs = &document(&page)["scenes"][0]["runs"];
+    let rows = runs[0]["carried"].as_array().expect("rows");
+    let sum = |column: usize| {
+        rows.iter()
+            .map(|row| row[column].as_u64().expect("a number"))
+            .sum::<u64>()
+    };
+    let result = json(&late.join(format!("{LOG}/cav1/result.json")));
+    let of_boxes = |what: &str| -> u64 {
+        let links = result["links"].as_object().expect("links");
+        links.values().filter_map(|kinds| kinds["boxes"][what].as_u64()).sum()
+    };
+    assert_eq!([sum(2), sum(3)], [of_boxes("sent"), of_boxes("bytes")]);
+    assert!(sum(3) > 0 && rows.len() >= 3, "{rows:?}");
+    assert_eq!(runs[1]["carried"], serde_json::json!([]), "alone nothing is sent");
+}
+
+#[test]
 fn a_browser_opens_plays_filters_and_turns_the_page_without_an_error() {
     let home = folder("report_browser");
     let Some(mut browser) = Browser::start(&home.join("profile")) else {
@@ -211,6 +234,39 @@ fn a_browser_opens_plays_filters_and_turns_the_page_without_an_error() {
         true
     );
     browser.value("state.hidden = new Set(); draw()");
+
+    // A flow for the run that has messages, which names what became of all, and bytes beside ages.
+    let captions = "[...document.querySelectorAll('#flows figcaption')].map((one) => one.firstChild.textContent)";
+    let captions: Vec<String> = serde_json::from_value(browser.value(captions)).expect("texts");
+    let flows: Vec<&String> = captions
+        .iter()
+        .filter(|one| one.starts_with("Flow of messages"))
+        .collect();
+    assert_eq!(flows, [&format!("Flow of messages: {NAME}")], "{captions:?}");
+    let flow = "[...document.querySelectorAll('#flows svg')].find((one) => /^Of .* messages/.test(one.getAttribute('aria-label')))";
+    let words = browser.value(&format!("{flow}.getAttribute('aria-label')"));
+    let result = json(&late.join(format!("{LOG}/cav1/result.json")));
+    let links = result["links"].as_object().expect("links").values();
+    let sent: u64 = links.filter_map(|kinds| kinds["boxes"]["sent"].as_u64()).sum();
+    assert!(
+        words.as_str().is_some_and(
+            |words| words.starts_with(&format!("Of {sent} messages: ")) && words.contains("lost on the link")
+        ),
+        "{words}"
+    );
+    let heights =
+        format!("[...{flow}.querySelectorAll('path')].every((one) => !one.getAttribute('d').includes('NaN'))");
+    assert_eq!(browser.value(&heights), true);
+    let bytes = captions
+        .iter()
+        .position(|one| one == "KB over time")
+        .expect("bytes over time");
+    assert!(
+        captions[..bytes].iter().any(|one| one == "Age over time"),
+        "{captions:?}"
+    );
+    let drawn = "[...document.querySelectorAll('#flows figure')].find((one) => one.textContent.startsWith('KB over time')).querySelectorAll('path').length";
+    assert_eq!(browser.value(drawn), 1, "one run sent something");
 
     // In space, with points; the address keeps the place.
     browser.press("3");

@@ -5,110 +5,13 @@ mod browser;
 mod common;
 
 use std::fs;
-use std::io::{BufRead, BufReader, Read, Write};
+use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
-use std::os::unix::process::CommandExt;
-use std::path::{Path, PathBuf};
-use std::process::{Child, Command, Stdio};
-use std::sync::mpsc::{Receiver, channel};
-use std::time::Duration;
 
 use browser::Browser;
-use common::{REALO, end, folder, free_port, graph, kill, not_built, realo, root, simulated, text};
+use common::watched::{PATIENCE, Watched, options};
+use common::{folder, free_port, realo, text};
 use serde_json::Value;
-
-const PATIENCE: Duration = Duration::from_secs(180);
-
-fn log() -> PathBuf {
-    let args = ["--seed", "913", "--seconds", "4", "--agents", "cav1,cav2,rsu1"];
-    simulated("view_small", &args)
-}
-
-/// The options of a run over the small log, of one ego.
-fn options(graph_name: &str, out: &Path, more: &[&str]) -> Vec<String> {
-    let (log, out) = (log(), out.to_string_lossy().into_owned());
-    let mut all: Vec<String> = vec![
-        "run".into(),
-        graph(graph_name),
-        "--log".into(),
-        log.to_string_lossy().into_owned(),
-    ];
-    all.extend([
-        "--ego".into(),
-        "cav1".into(),
-        "--recorded-detections".into(),
-        "--out".into(),
-        out,
-    ]);
-    all.extend(more.iter().map(|more| more.to_string()));
-    all
-}
-
-/// A run that is watched, and the lines that it says.
-struct Watched {
-    process: Child,
-    lines: Receiver<String>,
-    /// Host and port of its server.
-    host: String,
-}
-
-impl Watched {
-    fn start(options: Vec<String>) -> Self {
-        let mut command = Command::new(REALO);
-        command
-            .args(options)
-            .current_dir(root())
-            .stdout(Stdio::null())
-            .stderr(Stdio::piped())
-            .process_group(0);
-        let mut process = command.spawn().unwrap_or_else(|error| not_built(&error));
-        let said = BufReader::new(process.stderr.take().expect("it is piped"));
-        let (sender, lines) = channel();
-        std::thread::spawn(move || {
-            said.lines()
-                .map_while(Result::ok)
-                .try_for_each(|line| sender.send(line))
-        });
-        let mut watched = Watched {
-            process,
-            lines,
-            host: String::new(),
-        };
-        let line = watched.until("watch at http://");
-        let url = line.split_once("http://").expect("an address").1;
-        watched.host = url.trim_end_matches('/').to_string();
-        watched
-    }
-
-    /// The first line from now on that has these words.
-    fn until(&self, words: &str) -> String {
-        let mut said = Vec::new();
-        loop {
-            let line = self
-                .lines
-                .recv_timeout(PATIENCE)
-                .unwrap_or_else(|_| panic!("never said: {words}: {said:#?}"));
-            if line.contains(words) {
-                return line;
-            }
-            said.push(line);
-        }
-    }
-
-    /// Ends the view, and gives the exit code.
-    fn close(mut self) -> Option<i32> {
-        kill(self.process.id(), "INT");
-        self.process.wait().expect("it was started").code()
-    }
-}
-
-impl Drop for Watched {
-    fn drop(&mut self) {
-        if !matches!(self.process.try_wait(), Ok(Some(_))) {
-            end(&mut self.process);
-        }
-    }
-}
 
 /// A page as this test plays it.
 struct Page(TcpStream);
@@ -192,7 +95,7 @@ fn a_run_in_virtual_time_is_the_same_to_the_bit_when_it_is_watched() {
 #[test]
 fn pictures_of_a_run_on_dora_have_boxes_truth_points_and_what_was_fused() {
     let out = folder("view_realtime");
-    let watched = Watched::start(options("late_fusion", &out, &["--view"]));
+    let watched = Watched::start(options("late_fusion", &out, &["--view"]), "http://");
     let mut page = Page::open(&watched.host);
     let (mut said, mut pictures) = (Vec::new(), Vec::new());
     // A busy machine skips sweeps; some come.
@@ -225,11 +128,8 @@ fn a_browser_shows_the_newest_sweep_and_plays_those_before() {
     let Some(mut browser) = Browser::start(&home.join("profile")) else {
         return;
     };
-    let watched = Watched::start(options(
-        "late_fusion",
-        &home.join("out"),
-        &["--mode", "virtual", "--view"],
-    ));
+    let options = options("late_fusion", &home.join("out"), &["--mode", "virtual", "--view"]);
+    let watched = Watched::start(options, "http://");
     browser.visit(&format!("http://{}/", watched.host), [1280, 900]);
     watched.until("the last run stays at");
     browser.wait("live.pictures > 3 && panes.length === 1");
@@ -296,7 +196,10 @@ fn a_port_that_is_taken_and_an_address_that_is_none_are_errors_before_the_run() 
 fn clients_that_send_junk_or_stop_reading_do_not_disturb_a_run() {
     let out = folder("view_hostile");
     let port = free_port().to_string();
-    let watched = Watched::start(options("late_fusion", &out, &["--view", &port, "--view-exit"]));
+    let watched = Watched::start(
+        options("late_fusion", &out, &["--view", &port, "--view-exit"]),
+        "http://",
+    );
     assert_eq!(watched.host, format!("127.0.0.1:{port}"));
     let host = watched.host.clone();
     let asleep: Vec<Page> = (0..8).map(|_| Page::open(&host)).collect();

@@ -80,6 +80,15 @@ pub struct Use {
     pub age_ns: Nanos,
 }
 
+/// How a message entered its channel.
+#[derive(Clone, Copy, Debug, PartialEq, Eq, Serialize, Deserialize)]
+pub struct Entry {
+    /// Its payload bytes.
+    pub bytes: u64,
+    /// When it entered, or came where only that is known, ns.
+    pub at_ns: Nanos,
+}
+
 /// What a stage said of a message.
 #[derive(Clone, Debug, PartialEq, Eq, Serialize, Deserialize)]
 pub struct Fated {
@@ -91,6 +100,9 @@ pub struct Fated {
     /// Of [`Fate::Used`], the fusion.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub r#use: Option<Use>,
+    /// Only that the message entered its channel: nothing has become of it yet, and accounts wait for who says what.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub entry: Option<Entry>,
 }
 
 impl Fated {
@@ -101,6 +113,15 @@ impl Fated {
             message,
             fate,
             r#use: None,
+            entry: None,
+        })
+    }
+
+    /// That a message entered its channel.
+    pub fn entered(header: &Header, entry: Entry) -> Option<Self> {
+        Some(Fated {
+            entry: Some(entry),
+            ..Fated::of(header, Fate::InFlight)?
         })
     }
 }
@@ -425,11 +446,27 @@ mod tests {
             message: crossing(),
             fate: Fate::OverLimit,
             r#use: None,
+            entry: None,
         };
         let report = to_report("fates", &fated);
         let json = r#"{"from":"rsu1","to":"cav1","kind":"features","seq":7,"fate":"over_limit"}"#;
         assert_eq!((&*report.topic, &*report.json), ("fates", json));
-        assert_eq!(from_report(&report), Ok(fated));
+        assert_eq!(from_report(&report), Ok(fated.clone()));
+        let entry = Entry { bytes: 800, at_ns: -3 };
+        let entered = Fated {
+            fate: Fate::InFlight,
+            entry: Some(entry),
+            ..fated
+        };
+        let report = to_report("fates", &entered);
+        assert!(
+            report
+                .json
+                .ends_with(r#""fate":"in_flight","entry":{"bytes":800,"at_ns":-3}}"#),
+            "{}",
+            report.json
+        );
+        assert_eq!(from_report(&report), Ok(entered));
         let error = from_report::<Traffic>(&report).unwrap_err();
         assert!(error.starts_with("report `fates`: missing field `sent`"), "{error}");
     }

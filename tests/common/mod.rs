@@ -2,6 +2,8 @@
 #![allow(dead_code)]
 
 pub mod machine;
+pub mod python;
+pub mod watched;
 
 use std::fs::{self, File};
 use std::net::TcpListener;

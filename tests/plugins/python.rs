@@ -1,40 +1,17 @@
 //! Python for the tests: an environment of its own under the target folder.
 
-use std::fs::File;
 use std::path::{Path, PathBuf};
 use std::process::{Command, Output};
 
 use crate::build::workspace_target;
-use crate::common::{root, text};
+use crate::common::python::environment;
+use crate::common::root;
 
 /// The folder of its programs. Installs it on first use; the running test is left out if that fails.
 pub fn bin() -> Option<PathBuf> {
     let target = workspace_target().join("plugins");
-    let home = target.join("python");
     std::fs::create_dir_all(&target).expect("the folder can be made");
-    let lock = File::create(target.join("python.lock")).expect("the lock can be made");
-    lock.lock().expect("locks work");
-    let python = home.join("bin/python");
-    let works = || {
-        let tried = Command::new(&python).args(["-c", "import numpy, pyarrow"]).output();
-        tried.is_ok_and(|output| output.status.success())
-    };
-    if !works() {
-        let install = ["-m", "pip", "install", "--quiet", "numpy", "pyarrow"];
-        let steps = [
-            Command::new("python3").args(["-m", "venv"]).arg(&home).output(),
-            Command::new(&python).args(install).output(),
-        ];
-        let said: Vec<String> = steps.into_iter().flatten().map(|output| text(&output.stderr)).collect();
-        if !works() {
-            skipped::skip(&format!(
-                "Python 3 with numpy and pyarrow, which could not be installed: {}",
-                said.join(" ").trim().replace('\n', " ")
-            ));
-            return None;
-        }
-    }
-    Some(home.join("bin"))
+    environment(&target.join("python"), &["numpy", "pyarrow"], "numpy, pyarrow")
 }
 
 /// Runs a program with that Python first on the path, and the module to be found by it.

@@ -177,6 +177,7 @@ pub(crate) fn reported(messages: Vec<Crossing>, fate: Fate) -> impl Iterator<Ite
         message,
         fate,
         r#use: None,
+        entry: None,
     })
 }
 

@@ -983,6 +983,7 @@ fn fates_reach_every_sink_with_its_next_call_and_leave_once() {
         message: realo_schemas::report::Crossing::of(&crossed("a", seq, 0).header).unwrap(),
         fate: Fate::Used,
         r#use: None,
+        entry: None,
     };
     let mut rig = Rig::new(&wiring, Servers::PerStream, move |id, call, start| {
         let mut answer = if id == "s" {

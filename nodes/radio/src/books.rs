@@ -201,6 +201,7 @@ impl Heard {
             },
             fate,
             r#use: None,
+            entry: None,
         }
     }
 }

@@ -5,7 +5,7 @@ use std::path::{Path, PathBuf};
 use std::time::Duration;
 
 use realo_operator::{Describe, Error, Gateway, Inputs, Outputs, Settings, Waker};
-use realo_schemas::report::{self, ClockBy, Fate, Peer, to_report};
+use realo_schemas::report::{self, ClockBy, Entry, Fate, Peer, to_report};
 use realo_schemas::{Header, Kind, Name, Nanos, Packet, are_one_time_line, to_millis};
 use serde::{Deserialize, Serialize};
 
@@ -300,6 +300,11 @@ impl Radio {
             Ok((packet, stamp)) => {
                 let is_state = message.kind == Kind::AgentState;
                 let header = self.header(from, MessageId { stamp, ..reported }, out);
+                let entry = Entry {
+                    bytes: packet.bytes.len() as u64,
+                    at_ns: header.ready,
+                };
+                out.entered(&header, entry);
                 match is_state {
                     true => out.send(Output::States(header, packet)),
                     false => out.send(Output::ToEgo(header, packet)),

@@ -129,6 +129,7 @@ fn fated() -> Fated {
             query: 4,
             age_ns: 93_000_000,
         }),
+        entry: None,
     }
 }
 

@@ -125,6 +125,10 @@ impl Ledger {
     /// Takes what a stage said. What is said of a message long after its channel's newest one is not counted, so that it
     /// stays unaccounted, in sight.
     pub fn take(&mut self, fated: &Fated) {
+        // It says nothing of what became of the message.
+        if fated.entry.is_some() {
+            return;
+        }
         let Crossing { from, to, kind, seq } = &fated.message;
         if let Some(r#use) = fated.r#use {
             self.ages.entry(*kind).or_default().record(r#use.age_ns);
@@ -163,7 +167,7 @@ impl Ledger {
 #[cfg(test)]
 mod tests {
     use proptest::prelude::*;
-    use realo_schemas::report::Use;
+    use realo_schemas::report::{Entry, Use};
 
     use super::*;
 
@@ -177,6 +181,7 @@ mod tests {
             },
             fate,
             r#use: (fate == Fate::Used).then_some(Use { query: 3, age_ns: -7 }),
+            entry: None,
         }
     }
 
@@ -239,6 +244,20 @@ mod tests {
             in_flight: 18,
         };
         assert_eq!((twice, twice.total()), (doubled, 76));
+    }
+
+    #[test]
+    fn that_a_message_was_sent_is_no_account_of_it() {
+        let mut ledger = Ledger::default();
+        let entered = |seq| Fated {
+            entry: Some(Entry { bytes: 800, at_ns: 3 }),
+            ..fated(seq, Fate::InFlight)
+        };
+        ledger.take(&entered(1));
+        ledger.take(&entered(2));
+        ledger.take(&fated(2, Fate::Lost));
+        let (settled, _) = close(ledger);
+        assert_eq!((settled.total(), settled.lost), (1, 1), "the first stays unaccounted");
     }
 
     #[test]

@@ -127,7 +127,7 @@ impl Progress {
     pub fn fates(&mut self, fates: &[Fated]) {
         self.ages
             .extend(fates.iter().filter_map(|fated| Some(fated.r#use?.age_ns)));
-        self.reported += fates.len() as u64;
+        self.reported += fates.iter().filter(|fated| fated.entry.is_none()).count() as u64;
         self.lost += fates.iter().filter(|fated| fated.fate == Fate::Lost).count() as u64;
     }
 
@@ -175,6 +175,7 @@ mod tests {
                 query: 0,
                 age_ns: age_ms * 1_000_000,
             }),
+            entry: None,
         }
     }
 

@@ -1,7 +1,7 @@
 use std::collections::{BTreeMap, BTreeSet, VecDeque};
 
 use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings, StreamKey};
-use realo_schemas::report::{Fate, ON_AIR, OnAir, Traffic, to_report};
+use realo_schemas::report::{Entry, Fate, ON_AIR, OnAir, Traffic, to_report};
 use realo_schemas::{AgentState, Header, Kind, Name, Nanos, Packet, PoseStatus, Report};
 use serde::{Deserialize, Serialize};
 
@@ -340,6 +340,11 @@ impl Link {
             to: Some(to.clone()),
             ..header.clone()
         };
+        let entry = Entry {
+            bytes: packet.bytes.len() as u64,
+            at_ns: *sent,
+        };
+        out.entered(&header, entry);
         if first.is_none() {
             out.report(&header, Fate::Lost);
         }

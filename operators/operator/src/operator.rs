@@ -3,7 +3,7 @@ use std::marker::PhantomData;
 use std::sync::Arc;
 use std::{fmt, mem};
 
-use realo_schemas::report::{Channel, Crossing, Fate, Fated, SensorClock, Traffic, Use};
+use realo_schemas::report::{Channel, Crossing, Entry, Fate, Fated, SensorClock, Traffic, Use};
 use realo_schemas::{Clock, Header, Kind, Message, Name, Nanos};
 
 use crate::{Counter, Counts, PortId, StageInputs, StageOutputs, StageSettings, Steps};
@@ -392,8 +392,14 @@ impl<O> Outputs<O> {
                 query: query.seq,
                 age_ns: query.ready.saturating_sub(header.stamp),
             }),
+            entry: None,
         });
         self.made.fates.extend(fated);
+    }
+
+    /// Says that a message entered its channel; what becomes of it others say.
+    pub fn entered(&mut self, header: &Header, entry: Entry) {
+        self.made.fates.extend(Fated::entered(header, entry));
     }
 
     /// Says what became of messages that crossed a link, as a peer or another stage has said it.

@@ -1,6 +1,7 @@
 //! `realo-lab export`: our logs in the layouts of others.
 
 mod kind;
+mod rrd;
 
 use clap::Subcommand;
 use eyre::Result;
@@ -9,6 +10,7 @@ use realo_exporter::{Options, check, export};
 use realo_logs::Log;
 
 use self::kind::KindArgs;
+use self::rrd::RrdArgs;
 
 /// Writes a log in the layout of a data set
 ///
@@ -27,17 +29,23 @@ pub struct Args {
 enum Layout {
     #[command(flatten)]
     Kind(KindArgs),
+    Rrd(RrdArgs),
 }
 
 /// Writes the folder and says what was written and what was not.
 pub fn main(args: &Args) -> Result<Outcome> {
     if args.list {
         println!("{}", realo_exporter::list());
+        println!(
+            "{:<10} rerun: poses, native boxes and points of a run or a log\n{:<10} writes one file, which `rerun` opens",
+            "rrd", ""
+        );
         return Ok(Outcome::Complete);
     }
     match &args.layout {
         None => Ok(Outcome::Complete),
         Some(Layout::Kind(args)) => write(args, &args.options()?),
+        Some(Layout::Rrd(args)) => rrd::main(args),
     }
 }
 

@@ -230,6 +230,7 @@ mod tests {
             recorded: sweeps as usize,
             frames: (0..sweeps).map(|seq| (seq, boxes())).collect(),
             messages: Vec::new(),
+            carried: Vec::new(),
         };
         let mut scene = ScenePart::empty("log", "cav1");
         (scene.frames, scene.runs) = (frames, vec![of_run]);

@@ -439,6 +439,7 @@ mod tests {
             },
             fate: Fate::Used,
             r#use,
+            entry: None,
         };
         let of = Some(Use {
             query: 9,

@@ -6,8 +6,8 @@ use std::path::Path;
 use realo_logs::MAX_GAP;
 use realo_recorder::{FATES, boxes_of, reports_of, states_of, truth_of};
 use realo_schemas::geometry::PoseTrack;
-use realo_schemas::report::Fated;
-use realo_schemas::{Boxes, GroundTruth, Header, Name, Nanos};
+use realo_schemas::report::{Entry, Fated};
+use realo_schemas::{Boxes, GroundTruth, Header, Kind, Name, Nanos};
 use serde::Deserialize;
 
 use crate::PageError;
@@ -31,11 +31,23 @@ pub struct Recorded {
     pub fates: Vec<Fated>,
     /// What was said of further messages, in number.
     pub fates_cut: usize,
+    /// How messages for fusion entered their channels, where that is known: sender and bytes, by the second of their time.
+    pub carried: BTreeMap<(String, i64), Carried>,
     /// Reports of messages that are of an unknown form.
     pub unreadable: usize,
     /// Where each agent was in the map, as the graph knew it.
     pub poses: BTreeMap<Name, PoseTrack>,
 }
+
+/// What entered a channel in a second.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Carried {
+    pub messages: u64,
+    pub bytes: u64,
+}
+
+/// Seconds of senders that are kept: more than a log has.
+const MOST_SECONDS: usize = 100_000;
 
 /// Reports of messages that are kept; later ones are not on the page.
 const MOST_FATES: usize = 200_000;
@@ -49,6 +61,7 @@ impl Recorded {
             total: 0,
             fates: Vec::new(),
             fates_cut: 0,
+            carried: BTreeMap::new(),
             unreadable: 0,
             poses: BTreeMap::new(),
         }
@@ -108,6 +121,10 @@ impl Recorded {
                 continue;
             };
             for fated in fates.into_iter().filter(|fated| fated.message.to == ego) {
+                if let Some(entry) = fated.entry {
+                    self.carry(&fated, &entry);
+                    continue;
+                }
                 match self.fates.len() < MOST_FATES {
                     true => self.fates.push(fated),
                     false => self.fates_cut += 1,
@@ -115,6 +132,16 @@ impl Recorded {
             }
         }
         Ok(())
+    }
+
+    fn carry(&mut self, fated: &Fated, entry: &Entry) {
+        let second = entry.at_ns.div_euclid(1_000_000_000);
+        if fated.message.kind == Kind::AgentState || self.carried.len() >= MOST_SECONDS {
+            return;
+        }
+        let carried = self.carried.entry((fated.message.from.clone(), second)).or_default();
+        carried.messages += 1;
+        carried.bytes = carried.bytes.saturating_add(entry.bytes);
     }
 
     /// What of the recording is not on the page, in words. `of`: the run and its recording.
@@ -161,7 +188,43 @@ impl Recorded {
 
 #[cfg(test)]
 mod tests {
+    use realo_schemas::report::{Crossing, Fate};
+
     use super::*;
+
+    #[test]
+    fn what_entered_a_channel_is_summed_by_sender_and_second() {
+        let mut recorded = Recorded::empty();
+        let message = |from: &str, kind| Fated {
+            message: Crossing {
+                from: from.into(),
+                to: "cav1".into(),
+                kind,
+                seq: 0,
+            },
+            fate: Fate::InFlight,
+            r#use: None,
+            entry: None,
+        };
+        for (from, kind, at_ns) in [
+            ("rsu1", Kind::Boxes, 1_999_999_999),
+            ("rsu1", Kind::Points, 1_000_000_000),
+            ("rsu1", Kind::AgentState, 1_000_000_000),
+            ("rsu1", Kind::Boxes, 2_000_000_000),
+            ("cav2", Kind::Boxes, -1),
+        ] {
+            recorded.carry(&message(from, kind), &Entry { bytes: 100, at_ns });
+        }
+        let of = |from: &str, second| {
+            recorded
+                .carried
+                .get(&(from.to_string(), second))
+                .map(|of| [of.messages, of.bytes])
+        };
+        assert_eq!(of("rsu1", 1), Some([2, 200]));
+        assert_eq!((of("rsu1", 2), of("cav2", -1)), (Some([1, 100]), Some([1, 100])));
+        assert_eq!(recorded.carried.len(), 3);
+    }
 
     #[test]
     fn a_long_recording_keeps_every_second_fourth_eighth_sweep() {

@@ -119,6 +119,8 @@ pub struct SceneRun {
     pub frames: BTreeMap<u64, RunFrame>,
     /// `[agent, kind, number, fate, time]` of messages to the ego; a message that was not used is placed by its number.
     pub messages: Vec<[i64; 5]>,
+    /// `[agent, time, messages, bytes]` of what each agent sent to the ego in a second, which begins at this time.
+    pub carried: Vec<[i64; 4]>,
 }
 
 impl SceneRun {
@@ -129,6 +131,7 @@ impl SceneRun {
             recorded: 0,
             frames: BTreeMap::new(),
             messages: Vec::new(),
+            carried: Vec::new(),
         }
     }
 }
@@ -286,11 +289,13 @@ impl Scenes {
             recorded: recorded.total,
             frames: BTreeMap::new(),
             messages: Vec::new(),
+            carried: Vec::new(),
         };
         for (seq, sweep) in &recorded.sweeps {
             scene.add_sweep(*seq, sweep, recorded, &protocol, origin, &mut of_run, names)?;
         }
         let all = scene.add_fates(recorded, &mut of_run);
+        scene.add_carried(recorded, &mut of_run);
         if of_run.messages.len() < all {
             left_out.push(format!(
                 "{name}: the player has {} of {all} messages to `{ego}` in `{log}`; messages that were not used come first",
@@ -573,6 +578,17 @@ impl ScenePart {
         }
         run.frames.insert(seq, of_run);
         Ok(())
+    }
+
+    /// What was sent to the ego, by the second.
+    fn add_carried(&mut self, recorded: &Recorded, run: &mut SceneRun) {
+        for ((from, second), carried) in &recorded.carried {
+            let agent = self.agent(from, None) as i64;
+            let t = (second.saturating_mul(1_000_000_000).saturating_sub(self.start_ns)).div_euclid(MILLI);
+            let number = |value: u64| i64::try_from(value).unwrap_or(i64::MAX);
+            run.carried
+                .push([agent, t, number(carried.messages), number(carried.bytes)]);
+        }
     }
 
     /// What became of each message, and what was fused for each sweep. Returns how many messages there are with those that

@@ -1,17 +1,17 @@
 //! Whatever clients do, what is shown goes on, and memory is bounded.
 
-use std::fs;
+mod common;
+
 use std::io::{Read, Write};
 use std::net::{SocketAddr, TcpListener, TcpStream};
 use std::sync::Mutex;
 use std::time::Duration;
 
+use common::{MIB, frame, head_of, memory};
 use realo_view::Server;
 
 /// Tests that measure this process's memory, or use all connections, run one after the other.
 static ALONE: Mutex<()> = Mutex::new(());
-
-const MIB: usize = 1 << 20;
 
 fn server() -> Server {
     Server::start(SocketAddr::from(([127, 0, 0, 1], 0)), |host| {
@@ -50,40 +50,12 @@ fn looking(server: &Server) -> TcpStream {
     let mut stream = connect(server);
     let request = upgrade(server, &format!("http://{}", server.address()));
     stream.write_all(request.as_bytes()).expect("it listens");
-    let mut head = Vec::new();
-    while !head.ends_with(b"\r\n\r\n") {
-        let mut byte = [0];
-        stream.read_exact(&mut byte).expect("it answers");
-        head.push(byte[0]);
-    }
-    let head = String::from_utf8(head).expect("a head is text");
+    let head = head_of(&mut stream);
     assert!(
         head.starts_with("HTTP/1.1 101 ") && head.contains("s3pPLMBiTxaQ9kYGzzhZRbK+xOo="),
         "{head}"
     );
     stream
-}
-
-/// The kind and the content of the next frame.
-fn frame(stream: &mut TcpStream) -> (u8, Vec<u8>) {
-    let mut head = [0; 2];
-    stream.read_exact(&mut head).expect("a frame");
-    let length = match head[1] {
-        126 => {
-            let mut length = [0; 2];
-            stream.read_exact(&mut length).expect("its length");
-            usize::from(u16::from_be_bytes(length))
-        }
-        127 => {
-            let mut length = [0; 8];
-            stream.read_exact(&mut length).expect("its length");
-            u64::from_be_bytes(length) as usize
-        }
-        short => usize::from(short),
-    };
-    let mut content = vec![0; length];
-    stream.read_exact(&mut content).expect("its content");
-    (head[0] & 0x0f, content)
 }
 
 /// The next frame that shows something.
@@ -159,17 +131,6 @@ fn strangers_and_junk_get_nothing() {
         b"a secret scene",
         "the own page is served all the while"
     );
-}
-
-/// Memory of this process, bytes.
-fn memory() -> usize {
-    let status = fs::read_to_string("/proc/self/status").expect("it is Linux");
-    let line = status
-        .lines()
-        .find_map(|line| line.strip_prefix("VmRSS:"))
-        .expect("it has memory");
-    let kib: usize = line.trim().trim_end_matches(" kB").parse().expect("a number");
-    kib * 1024
 }
 
 #[test]

@@ -143,6 +143,7 @@ mod tests {
                 message,
                 fate: Fate::Stale,
                 r#use: None,
+                entry: None,
             }],
         };
         let mut books = Books::default();

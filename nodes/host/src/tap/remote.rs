@@ -229,6 +229,7 @@ mod tests {
             },
             fate: Fate::Used,
             r#use: Some(Use { query: 3, age_ns: 5 }),
+            entry: None,
         };
         [
             Seen::Message(3, Box::new(Message::new(header, Boxes::default()))),

@@ -66,6 +66,7 @@ fn fated(kind: Kind, seq: u64, fate: Fate) -> Fated {
         },
         fate,
         r#use: (fate == Fate::Used).then_some(r#use),
+        entry: None,
     }
 }
 

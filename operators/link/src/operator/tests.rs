@@ -38,6 +38,8 @@ struct Watched {
     lost: u64,
     /// What senders were told: when, who, and what.
     words: Vec<(Nanos, String, OnAir)>,
+    /// Sender and number of each packet that entered a channel.
+    entries: Vec<(String, u64, Entry)>,
 }
 
 /// What is known of a channel.
@@ -59,6 +61,7 @@ impl Watched {
             books: NodeBooks::default(),
             lost: 0,
             words: Vec::new(),
+            entries: Vec::new(),
         })
     }
 
@@ -73,6 +76,11 @@ impl Watched {
         let mut made = own.into_made();
         made.traffic.drain(..).for_each(|channel| self.books.carried(channel));
         self.lost += made.fates.iter().filter(|fated| fated.fate == Fate::Lost).count() as u64;
+        self.entries.extend(made.fates.iter().filter_map(|fated| {
+            let entry = fated.entry?;
+            assert_eq!(fated.fate, Fate::InFlight, "nothing has become of it");
+            Some((fated.message.from.clone(), fated.message.seq, entry))
+        }));
         for (_, message) in made.sent.extract_if(.., |(port, _)| *port == Output::ON_AIR) {
             let (header, report): (Header, Report) = message.into_parts().unwrap();
             let word = from_report(&report).unwrap();
@@ -365,6 +373,15 @@ fn offline_keeps_the_gate_and_the_counts_only() {
     assert_eq!(
         (channel.sent, channel.bytes, channel.lost, channel.out_of_range),
         (200, 2000, 0, 10)
+    );
+    let entered = |seq: u64| Entry {
+        bytes: 10,
+        at_ns: 100 * MS * seq as Nanos,
+    };
+    let expected = (0..200).map(|seq| ("rsu1".to_string(), seq, entered(seq)));
+    assert!(
+        link.entries.iter().cloned().eq(expected),
+        "what is out of range enters no channel"
     );
 }
 

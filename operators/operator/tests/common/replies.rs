@@ -56,6 +56,7 @@ pub fn reply(points: usize) -> Reply {
                 },
                 fate: Fate::Used,
                 r#use: Some(Use { query: 4, age_ns: -5 }),
+                entry: None,
             }],
             traffic: vec![],
             losses: Default::default(),

@@ -273,6 +273,81 @@ function fateFigure() {
     "No message for fusion crossed a link in these runs.", true);
 }
 
+/** Channels that a flow has at most; the rest are one. */
+const MOST_CHANNELS = 12;
+
+/** Every message of a run as a flow: from the channel that it was sent on to what became of it. */
+function flowFigure(run) {
+  const order = [...FATES, "unaccounted"];
+  const channels = channelsOf(run).filter(({ books }) => known(books.used) && books.sent > 0).sort((a, b) => b.books.sent - a.books.sent);
+  const rows = channels.slice(0, MOST_CHANNELS).map(({ link, kind, books }) => [`${link}, ${kind}`, order.map((fate) => Math.max(0, books[fate] || 0))]);
+  const rest = channels.slice(MOST_CHANNELS);
+  if (rest.length) rows.push([`${rest.length} more channels`, order.map((fate) => sum(rest.map(({ books }) => Math.max(0, books[fate] || 0))))]);
+  if (!rows.length) return null;
+  const sinks = order.map((fate, at) => [FATE_WORDS[fate] || fate, at, FATE_COLORS[fate]]).filter(([, at]) => rows.some(([, values]) => values[at] > 0));
+  return figure(`Flow of messages: ${run.name}`, "From sender, receiver and kind to what became of each message; the height is their number", el("div", { class: "wide" }, ribbons(rows, sinks)), "", true);
+}
+
+/** Ribbons from rows `[name, values]` to sinks `[name, place of its value, color]`. */
+function ribbons(rows, sinks) {
+  const [width, left, right, bar, gap, least] = [760, 250, 190, 10, 6, 16];
+  const of = (at) => sum(rows.map(([, values]) => values[at]));
+  const all = sum(sinks.map(([, at]) => of(at)));
+  const scale = Math.max(140, 26 * Math.max(rows.length, sinks.length)) / all;
+  // A small one is as high as its name, and its ribbons are in the middle of that.
+  const stack = (values) => {
+    let y = 4;
+    return values.map((value) => {
+      const tall = Math.max(value * scale, least);
+      const place = { y: y + (tall - value * scale) / 2, middle: y + tall / 2, value };
+      y += tall + gap;
+      return { ...place, end: y };
+    });
+  };
+  const from = stack(rows.map(([, values]) => sum(sinks.map(([, at]) => values[at])))), to = stack(sinks.map(([, at]) => of(at)));
+  const height = Math.max(from.at(-1).end, to.at(-1).end);
+  const words = sinks.map(([name, at]) => `${count(of(at))} ${name}`).join(", ");
+  const picture = svg("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": `Of ${count(all)} messages: ${words}`, style: "min-width:560px;max-width:880px" });
+  const [x0, x1] = [left + bar, width - right - bar], middle = (x0 + x1) / 2;
+  const starts = from.map(({ y }) => y), ends = to.map(({ y }) => y);
+  rows.forEach(([name, values], row) => sinks.forEach(([sink, at, color], place) => {
+    const value = values[at], tall = value * scale;
+    if (!value) return;
+    const [y0, y1] = [starts[row], ends[place]];
+    starts[row] += tall;
+    ends[place] += tall;
+    picture.append(svg("path", { d: `M${x0} ${y0}C${middle} ${y0} ${middle} ${y1} ${x1} ${y1}V${y1 + tall}C${middle} ${y1 + tall} ${middle} ${y0 + tall} ${x0} ${y0 + tall}Z`, fill: color, opacity: 0.55 },
+      svg("title", {}, `${name}: ${count(value)} of ${count(from[row].value)} ${sink}`)));
+  }));
+  rows.forEach(([name], row) => {
+    const { y, middle: at, value } = from[row];
+    picture.append(svg("rect", { x: left, y, width: bar, height: Math.max(1, value * scale), fill: "var(--ink)" }),
+      svg("text", { x: left - 6, y: at + 4, "text-anchor": "end", class: "ink" }, `${name.length > 30 ? name.slice(0, 29) + "…" : name}: ${count(value)}`, svg("title", {}, name)));
+  });
+  sinks.forEach(([name, , color], place) => {
+    const { y, middle: at, value } = to[place];
+    picture.append(svg("rect", { x: x1, y, width: bar, height: Math.max(1, value * scale), fill: color }),
+      svg("text", { x: x1 + bar + 6, y: at + 4, class: "ink" }, `${name}: ${count(value)}`));
+  });
+  return picture;
+}
+
+/** KB that were sent to the ego in each second, of all senders. */
+function bytesOverTime() {
+  const series = DOC.runs.map((run, at) => {
+    const of = DOC.scenes.length && scene().runs.find((one) => one.run === at);
+    const seconds = new Map();
+    for (const [, t, , bytes] of (of && of.carried) || []) seconds.set(t, (seconds.get(t) || 0) + bytes);
+    const times = [...seconds.keys()].sort((a, b) => a - b);
+    const points = [];
+    // A second in which nothing was sent has no row; the first and the last are not whole.
+    for (let t = times[0]; t <= times.at(-1); t += 1000) points.push([(t + 500) / 1000, (seconds.get(t) || 0) / 1000]);
+    return seriesOf(at, points.length > 3 ? points.slice(1, -1) : points);
+  });
+  return figure("KB over time", "Sent to the ego for fusion in each whole second, in this scene; 1 KB is 1,000 bytes", lines(series, { label: "s" }, { label: "KB", low: 0 }),
+    "Nothing was sent for fusion, or the recordings do not say when: run again with this version.");
+}
+
 function bytesFigure() {
   const rows = DOC.runs.map((run) => ({
     name: run.name,
@@ -320,6 +395,7 @@ function overTime() {
   };
   return [
     figure("Age over time", "The oldest data fused for each sweep, in this scene; a gap: nothing was fused", gapped(series(oldest), { label: "s" }, { label: "ms", from: 0 }), "Nothing was fused, or no run has a recording."),
+    bytesOverTime(),
     figure("Messages fused over time", "For each sweep, in this scene", lines(series((sweep) => sweep.used.length), { label: "s" }, { label: "", low: 0 }), "No run has a recording."),
     figure("Found share over time", "All classes, for each sweep, in this scene", lines(series(share), { label: "s" }, { label: "", low: 0, high: 1 }), "No run has a recording."),
   ];
@@ -342,7 +418,7 @@ function gapped(series, x, y) {
 
 function drawFlows() {
   byId("flows").replaceChildren(...[
-    fateFigure(), bytesFigure(), ...overTime(),
+    fateFigure(), ...DOC.runs.slice(0, MOST_PANES).map(flowFigure), bytesFigure(), ...overTime(),
     cdf("Ages of what was fused", "Share of all uses that are not older", (run) => run.ages, "Nothing was fused."),
     cdf("From sweep to boxes", "Share of all sweeps that are not slower", (run) => (hasLatency(run) ? run.quantiles.end_to_end || [] : []), "Stages take no time in these runs."),
     stageFigure(), channelTable(),

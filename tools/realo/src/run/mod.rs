@@ -7,6 +7,7 @@ mod decisions;
 mod described;
 mod dora;
 mod folders;
+mod foxglove;
 mod lane;
 mod limit;
 mod localization;

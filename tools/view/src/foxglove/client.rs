@@ -202,7 +202,7 @@ impl Sender<'_> {
         }
         // Who comes late gets what is there.
         for channel in fresh {
-            if let Some(message) = self.feed.newest(channel, &self.place) {
+            for message in self.feed.newest(channel, &self.place) {
                 self.message(&message)?;
             }
         }

@@ -54,8 +54,8 @@ struct State {
     /// Number of the first that is kept.
     first: u64,
     bytes: usize,
-    /// The newest message of each channel, and its number.
-    newest: BTreeMap<u32, (u64, Message)>,
+    /// The newest message of each channel and agent, and its number.
+    newest: BTreeMap<(u32, Arc<str>), (u64, Message)>,
     closed: bool,
 }
 
@@ -123,15 +123,18 @@ impl Feed {
         Some(id)
     }
 
-    /// Shows a message of a channel of this run.
-    pub fn send(&self, channel: u32, time: u64, payload: Arc<[u8]>) {
+    /// Shows a message of a channel of this run. Who comes late gets the newest of each `agent`.
+    pub fn send(&self, channel: u32, agent: &str, time: u64, payload: Arc<[u8]>) {
         let mut state = self.lock();
         if !state.has(channel) {
             return;
         }
         let message = Message { channel, time, payload };
         let number = state.first + state.kept.len() as u64;
-        state.newest.insert(channel, (number, message.clone()));
+        let key = (channel, Arc::from(agent));
+        if state.newest.len() < MOST_CHANNELS || state.newest.contains_key(&key) {
+            state.newest.insert(key, (number, message.clone()));
+        }
         state.bytes += message.payload.len();
         state.kept.push_back(message);
         while state.kept.len() > MOST || state.bytes > MOST_BYTES {
@@ -147,11 +150,17 @@ impl Feed {
         self.lock().has(channel)
     }
 
-    /// The newest message of a channel, for who comes late; nothing where a client at this place will still come to it.
-    pub fn newest(&self, channel: u32, place: &Place) -> Option<Message> {
+    /// The newest messages of a channel, for who comes late, the oldest first; without those that a client at this place will still come
+    /// to.
+    pub fn newest(&self, channel: u32, place: &Place) -> Vec<Message> {
         let state = self.lock();
-        let (number, message) = state.newest.get(&channel)?;
-        (*number < place.next).then(|| message.clone())
+        let of_channel = state.newest.iter().filter(|((of, _), _)| *of == channel);
+        let mut newest: Vec<_> = of_channel
+            .map(|(_, (number, message))| (*number, message))
+            .filter(|(number, _)| *number < place.next)
+            .collect();
+        newest.sort_by_key(|(number, _)| *number);
+        newest.into_iter().map(|(_, message)| message.clone()).collect()
     }
 
     /// Nothing more is shown.
@@ -229,7 +238,9 @@ mod tests {
         assert_eq!(feed.next(&mut place, NOW), Next::Wait);
         feed.open("late_fusion, log, cav1");
         let channel = feed.channel("/cav1/boxes", "a", "b").unwrap();
-        feed.send(channel, 5, [1].into());
+        feed.send(channel, "cav1", 4, [0].into());
+        feed.send(channel, "rsu1", 5, [9].into());
+        feed.send(channel, "cav1", 5, [1].into());
         let Next::Run(run) = feed.next(&mut place, NOW) else {
             panic!("a run began")
         };
@@ -243,9 +254,19 @@ mod tests {
             Next::Wait,
             "what came before is not repeated"
         );
-        assert_eq!(feed.newest(channel, &place).unwrap().payload[..], [1], "but can be had");
-        feed.send(channel, 6, [2].into());
-        assert_eq!(feed.newest(channel, &place), None, "it comes anyway");
+        let newest: Vec<u8> = feed
+            .newest(channel, &place)
+            .iter()
+            .map(|message| message.payload[0])
+            .collect();
+        assert_eq!(newest, [9, 1], "but the newest of each agent can be had");
+        feed.send(channel, "cav1", 6, [2].into());
+        let newest: Vec<u8> = feed
+            .newest(channel, &place)
+            .iter()
+            .map(|message| message.payload[0])
+            .collect();
+        assert_eq!(newest, [9], "the other one comes anyway");
         assert!(matches!(
             feed.next(&mut place, NOW),
             Next::Message(Message { time: 6, .. })
@@ -254,7 +275,7 @@ mod tests {
         assert!(matches!(feed.next(&mut place, NOW), Next::Channels(new) if new.len() == 1));
         feed.open("another");
         assert!(!feed.has(channel) && !feed.has(new));
-        feed.send(new, 7, [3].into());
+        feed.send(new, "cav1", 7, [3].into());
         assert!(matches!(feed.next(&mut place, NOW), Next::Run(Run { number: 2, .. })));
         assert_eq!(feed.next(&mut place, NOW), Next::Wait, "nothing of an earlier run");
         feed.close();
@@ -267,10 +288,10 @@ mod tests {
         feed.open("run");
         let channel = feed.channel("/a", "b", "c").unwrap();
         while feed.next(&mut place, NOW) != Next::Wait {}
-        (0..3 * MOST as u64).for_each(|time| feed.send(channel, time, [0; 10].into()));
+        (0..3 * MOST as u64).for_each(|time| feed.send(channel, "cav1", time, [0; 10].into()));
         assert_eq!(feed.next(&mut place, NOW), Next::Missed(3 * MOST as u64));
         assert_eq!(feed.lock().kept.len(), MOST);
-        (0..10).for_each(|time| feed.send(channel, time, vec![0; MOST_BYTES / 4].into()));
+        (0..10).for_each(|time| feed.send(channel, "cav1", time, vec![0; MOST_BYTES / 4].into()));
         let state = feed.lock();
         assert!(state.bytes <= MOST_BYTES && state.kept.len() <= 4);
         drop(state);

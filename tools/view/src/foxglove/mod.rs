@@ -88,8 +88,9 @@ impl Session {
         self.0.channel(topic, schema_name, schema)
     }
 
-    /// Shows a message; what belongs to an earlier run is shown to nobody. `time`: when it existed, ns.
-    pub fn send(&self, channel: u32, time: u64, payload: Vec<u8>) {
-        self.0.send(channel, time, payload.into());
+    /// Shows a message of an agent; what belongs to an earlier run is shown to nobody. `time`: when it existed, ns. Who comes late gets
+    /// the newest of each agent.
+    pub fn send(&self, channel: u32, agent: &str, time: u64, payload: Vec<u8>) {
+        self.0.send(channel, agent, time, payload.into());
     }
 }
