@@ -16,6 +16,7 @@ pub mod maps;
 pub mod network;
 mod role;
 mod stages;
+mod whole;
 
 pub use role::Role;
 pub use stages::{Detector, Encoder, Fusion, Head};

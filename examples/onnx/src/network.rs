@@ -337,7 +337,10 @@ fn read(path: &Path) -> Result<Vec<u8>, NetworkError> {
     {
         return Err(refused("expected a file that ends in .onnx".into()));
     }
-    Ok(bytes)
+    match crate::whole::missing(&bytes) {
+        Some(missing) => Err(refused(format!("cannot be read as ONNX: {missing}"))),
+        None => Ok(bytes),
+    }
 }
 
 /// Names in the file by ours.

@@ -456,3 +456,28 @@ fn a_detector_goes_from_points_to_boxes() {
             .all(|object| (object.length - 0.2).abs() < 1e-6 && object.score == 0.2)
     );
 }
+
+#[test]
+fn damaged_files_are_read_or_refused() {
+    let folder = folder();
+    let sound = std::fs::read(of_features(folder.path(), "8", "1")).unwrap();
+    let path = folder.path().join("damaged.onnx");
+    let message = Message::new(header("cav1", Of::Features), map(8, |at| at as f32 / 100.0));
+    let (mut taken, mut refused) = (0, 0);
+    for case in 0..damage::cases(2000) {
+        let mut bytes = sound.clone();
+        damage::Draw::new(case).damage(&mut bytes);
+        std::fs::write(&path, bytes).unwrap();
+        match built::<Head>(&args(&path, &["classes=Car", "threads=1"])) {
+            Ok(mut stage) => {
+                taken += 1;
+                let _ = asked(&mut stage, message.clone());
+            }
+            Err(error) => {
+                refused += 1;
+                assert!(error.contains("damaged.onnx"), "case {case}: {error}");
+            }
+        }
+    }
+    assert!(taken > 20 && refused > 1000, "{taken} taken, {refused} refused");
+}
