@@ -115,6 +115,8 @@ struct Topic {
     counted: Traffic,
     /// Since when it is waited for, or its newest message, by the wall clock.
     waits_since: Nanos,
+    /// What was said last of its silence.
+    silence: String,
     /// From a cloud's stamp to its arrival.
     delays: Durations,
 }
@@ -474,7 +476,10 @@ impl Sensors {
                 topic.waits_since = now;
                 out.count_of(&SILENT, agent, 1, 0);
                 let words = watch::silent(&topic.name, topic.kind, self.settings.silent_s, &ros.found());
-                eprintln!("ros2-sensors: {words}");
+                if words != topic.silence {
+                    eprintln!("ros2-sensors: {words}");
+                    topic.silence = words;
+                }
             }
         }
     }
@@ -503,6 +508,7 @@ fn open(
         carries,
         counted: Traffic::default(),
         waits_since: realo_clock::wall(),
+        silence: String::new(),
         delays: Durations::default(),
     });
     Ok(ros.read(name, kind, quality, (queue.clone(), number))?)

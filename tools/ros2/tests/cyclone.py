@@ -1,6 +1,7 @@
-"""Hears boxes by Cyclone, a second DDS, with types written after their definitions: rclpy's packages do not have these.
+"""Cyclone, a second DDS, with types written after their definitions: the packages of rclpy do not have these.
 
-Prints JSON: for each message its stamp, frame, and class (or label), score and size of each box.
+    cyclone.py boxes SECONDS         says what boxes came, as JSON: by message its stamp, frame, and class (or label), score and size of each
+    cyclone.py transforms SECONDS    publishes transforms: map > odom > base_link, which drives, and a LiDAR on it
 """
 
 import json
@@ -13,6 +14,7 @@ from cyclonedds.core import Policy, Qos
 from cyclonedds.domain import DomainParticipant
 from cyclonedds.idl import IdlStruct
 from cyclonedds.idl.types import array, float32, float64, int32, sequence, uint8, uint32
+from cyclonedds.pub import DataWriter
 from cyclonedds.sub import DataReader
 from cyclonedds.topic import Topic
 from cyclonedds.util import duration
@@ -56,6 +58,19 @@ class Quaternion(IdlStruct, typename="geometry_msgs::msg::dds_::Quaternion_"):
 class Pose(IdlStruct, typename="geometry_msgs::msg::dds_::Pose_"):
     position: Vector3
     orientation: Quaternion
+
+
+@dataclass
+class TransformStamped(IdlStruct, typename="geometry_msgs::msg::dds_::TransformStamped_"):
+    header: Header
+    child_frame_id: str
+    translation: Vector3
+    rotation: Quaternion
+
+
+@dataclass
+class TFMessage(IdlStruct, typename="tf2_msgs::msg::dds_::TFMessage_"):
+    transforms: sequence[TransformStamped]
 
 
 @dataclass
@@ -124,8 +139,7 @@ def size(vector):
     return [vector.x, vector.y, vector.z]
 
 
-def main():
-    participant = DomainParticipant(int(os.environ.get("ROS_DOMAIN_ID", "0")))
+def boxes_of(participant, seconds):
     qos = Qos(Policy.Reliability.Reliable(duration(milliseconds=100)), Policy.History.KeepLast(100))
     reader = lambda topic, kind: DataReader(participant, Topic(participant, f"rt{topic}", kind, qos=qos), qos=qos)
     readers = {"detections": reader("/realo/detections", Detection3DArray), "objects": reader("/realo/objects", DetectedObjects)}
@@ -134,7 +148,7 @@ def main():
         "objects": lambda array: [(box.classification[0].label, box.existence_probability, size(box.dimensions)) for box in array.objects],
     }
     found = {form: [] for form in readers}
-    end = time.time() + float(sys.argv[1])
+    end = time.time() + seconds
     while time.time() < end:
         for form, known in readers.items():
             for array_ in known.take(100):
@@ -143,6 +157,32 @@ def main():
                     found[form].append((header.stamp.sec * 1_000_000_000 + header.stamp.nanosec, header.frame_id, boxes[form](array_)))
         time.sleep(0.02)
     print(json.dumps(found))
+
+
+def transforms(participant, seconds):
+    reliable = Policy.Reliability.Reliable(duration(milliseconds=100))
+    latched = Qos(reliable, Policy.Durability.TransientLocal, Policy.History.KeepLast(1))
+    moving = Qos(reliable, Policy.History.KeepLast(100))
+    writer = lambda topic, qos: DataWriter(participant, Topic(participant, f"rt{topic}", TFMessage, qos=qos), qos=qos)
+    fixed, moves = writer("/tf_static", latched), writer("/tf", moving)
+
+    def transform(parent, child, x, z=0.0):
+        header = Header(Time(*divmod(time.time_ns(), 1_000_000_000)), parent)
+        return TransformStamped(header, child, Vector3(x, 0.0, z), Quaternion(0.0, 0.0, 0.0, 1.0))
+
+    fixed.write(TFMessage([transform("base_link", "lidar_top", 1.5, 2.0)]))
+    end, k = time.time() + seconds, 0
+    while time.time() < end:
+        if k % 5 == 0:
+            moves.write(TFMessage([transform("map", "odom", 100.0)]))
+        moves.write(TFMessage([transform("odom", "base_link", 0.02 * k, 0.5)]))
+        time.sleep(0.02)
+        k += 1
+
+
+def main():
+    participant = DomainParticipant(int(os.environ.get("ROS_DOMAIN_ID", "0")))
+    {"boxes": boxes_of, "transforms": transforms}[sys.argv[1]](participant, float(sys.argv[2]))
 
 
 main()

@@ -4,6 +4,8 @@
     nodes.py echo SECONDS TOPIC            says what of them arrives in another node of rclpy, as JSON
     nodes.py replay LOG AGENT SECONDS      publishes an agent's clouds and poses of a log of realo, at wall time
     nodes.py markers SECONDS TOPIC         says what of a MarkerArray arrives, as JSON
+    nodes.py drive SECONDS                 publishes clouds of a car and a van, and the odometry of the van
+    nodes.py names SECONDS NODE            waits until a node is known, and says which there are, as JSON
 """
 
 import json
@@ -39,7 +41,7 @@ def points(n, hz, seconds, topic):
     cloud.data = bytes(data)
     while publisher.get_subscription_count() < 2:
         time.sleep(0.05)
-    time.sleep(1)
+    time.sleep(3)
     began = time.time()
     for k in range(int(hz * seconds)):
         time.sleep(max(0.0, began + k / hz - time.time()))
@@ -116,8 +118,41 @@ def replay(log, agent, seconds):
     print(json.dumps({"stamps": stamps}))
 
 
+def drive(seconds):
+    from nav_msgs.msg import Odometry
+    from sensor_msgs.msg import PointCloud2, PointField
+
+    node = rclpy.create_node("drive")
+    clouds = {frame: node.create_publisher(PointCloud2, topic, SENSOR) for frame, topic in (("lidar_top", "/car/points"), ("van", "/van/points"))}
+    odometry = node.create_publisher(Odometry, "/van/odometry", 10)
+    cloud = PointCloud2(height=1, width=1, point_step=12, row_step=12, is_dense=True, data=bytes(12))
+    cloud.fields = [PointField(name=name, offset=4 * i, datatype=PointField.FLOAT32, count=1) for i, name in enumerate("xyz")]
+    end, k = time.time() + seconds, 0
+    while time.time() < end:
+        stamp = node.get_clock().now().to_msg()
+        pose = Odometry(child_frame_id="van")
+        pose.header.stamp, pose.header.frame_id = stamp, "map"
+        pose.pose.pose.position.x, pose.pose.pose.orientation.w = 7.0, 1.0
+        odometry.publish(pose)
+        for frame, publisher in clouds.items():
+            cloud.header.stamp, cloud.header.frame_id = stamp, frame
+            if k % 5 == 0:
+                publisher.publish(cloud)
+        time.sleep(0.02)
+        k += 1
+
+
+def names(seconds, wanted):
+    node = rclpy.create_node("names")
+    found, end = [], time.time() + seconds
+    while wanted not in found and time.time() < end:
+        rclpy.spin_once(node, timeout_sec=0.2)
+        found = node.get_node_names()
+    print(json.dumps(found))
+
+
 if __name__ == "__main__":
     rclpy.init()
-    kinds = {"points": (points, int, float, float, str), "echo": (echo, float, str), "replay": (replay, str, str, float), "markers": (markers, float, str)}
+    kinds = {"points": (points, int, float, float, str), "echo": (echo, float, str), "replay": (replay, str, str, float), "markers": (markers, float, str), "drive": (drive, float), "names": (names, float, str)}
     act, *types = kinds[sys.argv[1]]
     act(*(kind(text) for kind, text in zip(types, sys.argv[2:])))

@@ -7,6 +7,7 @@ import json
 import os
 import pathlib
 import signal
+import struct
 import subprocess
 import sys
 import tempfile
@@ -43,7 +44,10 @@ class Graph:
     """A graph on dora, in a folder of its own with links beside it as the examples have them."""
 
     def __init__(self, folder, text, map_file):
-        self.folder = pathlib.Path(folder)
+        # Models are beside the folder of a graph.
+        self.folder = pathlib.Path(folder) / "graph"
+        self.folder.mkdir()
+        (self.folder.parent / "models").symlink_to(ROOT / "models")
         for name in ("modules", "types"):
             (self.folder / name).symlink_to(ROOT / "dataflows" / name)
         (self.folder / "bin").mkdir()
@@ -65,8 +69,8 @@ class Graph:
         except subprocess.TimeoutExpired:
             os.killpg(self.process.pid, signal.SIGKILL)
             code = "a timeout"
-        self.log.seek(0)
-        text = self.log.read()
+        self.log.close()
+        text = (self.folder / "dora.log").read_text()
         assert code == 0, f"dora ended with {code}:\n{text[-6000:]}"
         results = list((self.folder / "out/results").rglob("result.json"))
         return json.loads(results[0].read_text()), text
@@ -122,7 +126,7 @@ class Live(unittest.TestCase):
         graph = Graph(self.folder.name, text, (GRAPHS / "ros2.yml").read_text())
         graph.start()
         markers = node("markers", 50, "/realo/markers")
-        cyclone = subprocess.Popen([sys.executable, str(NODES.with_name("cyclone.py")), "50"], env=ENV, stdout=subprocess.PIPE, text=True)
+        cyclone = subprocess.Popen([sys.executable, str(NODES.with_name("cyclone.py")), "boxes", "50"], env=ENV, stdout=subprocess.PIPE, text=True)
         stamps = said(node("replay", ROOT / "target/realo/demo.mcap", "cav1", 20))["stamps"]
         arrays, others = said(markers)["arrays"], said(cyclone)
         result, _ = graph.end()
@@ -153,9 +157,52 @@ class Live(unittest.TestCase):
                 done = subprocess.run([ROS2, "topics", "localhost=true", f"domain={DOMAIN}", "seconds=3"], capture_output=True, text=True)
                 found = done.stdout
             self.assertRegex(found, r"/few +sensor_msgs/PointCloud2 +best effort")
+            ours = subprocess.Popen([ROS2, "topics", "localhost=true", f"domain={DOMAIN}", "seconds=40"], stdout=subprocess.DEVNULL)
+            self.assertIn("realo_topics", said(node("names", 40, "realo_topics")))
+            ours.kill()
+            ours.wait()
         finally:
             publisher.kill()
             publisher.communicate()
+
+    def test_poses_come_from_transforms_and_from_odometry(self):
+        map_file = (
+            "agents:\n  car: { clouds: /car/points, frame: base_link, height: 0.5, pose: tf }\n"
+            "  van: { clouds: /van/points, frame: van, height: 0, pose: /van/odometry }\n"
+        )
+        text = SENSORS.replace("SECONDS", "25 ego=car").replace("[ego_clouds, ego_poses]", "[ego_clouds, ego_poses, clouds, poses]")
+        text = text.replace("AgentState }", "AgentState, clouds: realo/v1/PointCloud, poses: realo/v1/AgentState }")
+        text = text.replace("recording.mcap", "recording.mcap clouds=true")
+        text = text.replace("{ ego_clouds: sensors/ego_clouds }", "{ ego_clouds: sensors/ego_clouds, clouds: sensors/clouds, ego_state: sensors/ego_poses, states: sensors/poses }")
+        graph = Graph(self.folder.name, text, map_file)
+        graph.start()
+        others = [subprocess.Popen([sys.executable, str(NODES.with_name("cyclone.py")), "transforms", "28"], env=ENV), node("drive", 28)]
+        result, log = graph.end()
+        for process in others:
+            process.wait(timeout=60)
+        counters = result["nodes"]["sensors"]["counters"]
+        print({name: counters.get(name) for name in ("clouds", "poses")})
+        from mcap.reader import make_reader
+
+        found = {}
+        with open(next((graph.folder / "out/results").rglob("recording.mcap")), "rb") as file:
+            for schema, channel, message in make_reader(file).iter_messages():
+                found.setdefault((channel.topic, schema.name), []).append(message.data)
+        self.assertTrue(any("PointCloud2" in kind for _, kind in found), found.keys())
+        poses = {topic: payloads for (topic, kind), payloads in found.items() if "Pose" in kind}
+        self.assertEqual(len(poses), 2, found.keys())
+        for topic, payloads in poses.items():
+            name_bytes = int.from_bytes(payloads[-1][12:16], "little")
+            at = (12 + name_bytes + 7) // 8 * 8
+            x, y, z = struct.unpack_from("<3d", payloads[-1], 4 + at)
+            if "car" in topic:
+                self.assertTrue(100 <= x <= 130 and abs(y) < 1e-9 and abs(z) < 1e-9, (topic, x, y, z))
+            else:
+                self.assertEqual((x, y, z), (7.0, 0.0, 0.0))
+        clouds = {topic: payloads[-1] for (topic, kind), payloads in found.items() if "PointCloud2" in kind}
+        car = next(payload for topic, payload in clouds.items() if "car" in topic)
+        # The only point, at the origin of the LiDAR: 1.5 m ahead and 2 m above base_link, which is 0.5 m over the ground.
+        self.assertIn(struct.pack("<3f", 1.5, 0.0, 2.5), car)
 
     def test_settings_that_cannot_be_are_refused_before_anything_starts(self):
         for args, map_file, expected in [
