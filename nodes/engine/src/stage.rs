@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use realo_operator::{AnyOperator, Built, Counts, Error, Made, NodeBooks, Outputs, PortId, Registration};
+use realo_operator::{AnyOperator, AnySink, Built, Counts, Error, Made, NodeBooks, Outputs, PortId, Registration};
 use realo_schemas::report::{Crossing, Fate, Fated};
 use realo_schemas::{Message, Name, Nanos, Payload, TraceEntry};
 
@@ -46,16 +46,10 @@ impl Call {
         match built {
             Built::Operator(operator) => self.of_operator(operator.as_mut(), inputs, &mut out, &mut called),
             Built::Gateway(gateway) => self.of_operator(gateway.stage(), inputs, &mut out, &mut called),
-            Built::Sink(sink) => {
-                let taken = sink.fates(fates).and_then(|()| match self {
-                    Call::Inputs(calls) => calls
-                        .into_iter()
-                        .try_for_each(|(port, message)| sink.accept(port, message)),
-                    Call::Wake => Ok(()),
-                    Call::End(books) => sink.finish(&books),
-                });
-                called.gone = taken.err();
-            }
+            Built::Sink(sink) => match sink.fates(fates) {
+                Ok(()) => self.of_sink(sink.as_mut(), inputs, &mut out, &mut called),
+                Err(error) => called.gone = Some(error),
+            },
             Built::Source(_) => {}
         }
         let rejected = std::mem::take(&mut called.made.fates);
@@ -79,10 +73,7 @@ impl Call {
                         called.gone = Some(error);
                         break;
                     }
-                    let name = known.inputs.get(port.0).map_or("?", |port| port.name);
-                    called
-                        .errors
-                        .push(format!("input `{name}`, {text}: {}", words_of(&error)));
+                    called.refuse(known, port, &text, &error);
                     called.made.fates.extend(reported(carried, Fate::Rejected));
                 }
             }
@@ -90,9 +81,39 @@ impl Call {
             Call::End(_) => called.note("end of the stream", operator.on_end(out)),
         }
     }
+
+    fn of_sink(self, sink: &mut dyn AnySink, known: &Registration, out: &mut Outputs, called: &mut Called) {
+        match self {
+            Call::Inputs(calls) => {
+                for (port, message) in calls {
+                    let text = message.header.to_string();
+                    let Err(error) = sink.accept(port, message, out) else {
+                        continue;
+                    };
+                    if error.is::<Gone>() || !sink.outlives_errors() {
+                        called.gone = Some(error);
+                        break;
+                    }
+                    called.refuse(known, port, &text, &error);
+                }
+            }
+            Call::Wake => {}
+            Call::End(books) => match sink.finish(&books, out) {
+                Err(error) if !sink.outlives_errors() => called.gone = Some(error),
+                done => called.note("end of the stream", done),
+            },
+        }
+    }
 }
 
 impl Called {
+    /// Notes a message that was not taken.
+    fn refuse(&mut self, known: &Registration, port: PortId, header: &str, error: &Error) {
+        let name = known.inputs.get(port.0).map_or("?", |port| port.name);
+        self.errors
+            .push(format!("input `{name}`, {header}: {}", words_of(error)));
+    }
+
     fn note(&mut self, place: &str, done: Result<(), Error>) {
         match done {
             Err(error) if error.is::<Gone>() => self.gone = Some(error),
@@ -279,7 +300,7 @@ impl Stage {
 mod tests {
     use std::sync::{Arc, Mutex};
 
-    use realo_operator::{AnyOperator, AnySink, AnySource, Books, Counter, Port, Role};
+    use realo_operator::{AnySource, Books, Counter, Port, Role};
     use realo_schemas::{Boxes, Clock, Header, Kind, PayloadType, Selection};
 
     use super::*;
@@ -402,7 +423,7 @@ mod tests {
     struct Notes(Arc<Mutex<Vec<String>>>);
 
     impl AnySink for Notes {
-        fn accept(&mut self, port: PortId, message: Message) -> Result<(), Error> {
+        fn accept(&mut self, port: PortId, message: Message, _: &mut Outputs) -> Result<(), Error> {
             self.0
                 .lock()
                 .unwrap()
@@ -419,10 +440,50 @@ mod tests {
                 _ => Ok(()),
             }
         }
-        fn finish(&mut self, books: &Books) -> Result<(), Error> {
+        fn finish(&mut self, books: &Books, _: &mut Outputs) -> Result<(), Error> {
             self.0.lock().unwrap().push(format!("{} books", books.nodes.len()));
             Ok(())
         }
+    }
+
+    /// Counts what it is given; cannot take number 9.
+    struct Outside;
+
+    const TAKEN: Counter = Counter::plain("taken", "messages that were taken");
+
+    impl AnySink for Outside {
+        fn accept(&mut self, _: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+            if message.header.seq == 9 {
+                return Err("nobody listens".into());
+            }
+            out.count(&TAKEN, &message.header.agent, 1);
+            Ok(())
+        }
+        fn fates(&mut self, _: &[Fated]) -> Result<(), Error> {
+            Ok(())
+        }
+        fn finish(&mut self, _: &Books, _: &mut Outputs) -> Result<(), Error> {
+            Err("it was not said goodbye to".into())
+        }
+        fn outlives_errors(&self) -> bool {
+            true
+        }
+    }
+
+    #[test]
+    fn a_sink_of_the_world_outside_counts_and_goes_on_after_an_error() {
+        let mut built = Built::Sink(Box::new(Outside));
+        let mut make = |call: Call| call.make(&mut built, &PORTS, Outputs::at(7), &[]);
+        let called = make(inputs(&[8, 9, 10]));
+        let taken: u64 = called.made.counts.counters.values().sum();
+        assert_eq!((taken, called.errors.len(), called.gone.is_none()), (2, 1, true));
+        assert!(
+            called.errors[0].contains("input `in`") && called.errors[0].contains("nobody listens"),
+            "{:?}",
+            called.errors
+        );
+        let ended = make(Call::End(Box::default()));
+        assert_eq!((ended.other_errors, ended.gone.is_none()), (1, true));
     }
 
     #[test]

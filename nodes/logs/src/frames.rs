@@ -12,6 +12,8 @@ use crate::{LogError, MAX_GAP, McapFile, Schema};
 
 /// Topics of transforms; what is on the first holds for all times.
 const STATIC: &str = "/tf_static";
+/// Frames that come one by one are at most this many.
+const MOST_FRAMES: usize = 65_536;
 pub(crate) const TOPICS: [&str; 2] = [STATIC, "/tf"];
 /// Frames by their name, and how each lies in its parent.
 #[derive(Debug, Default)]
@@ -78,7 +80,8 @@ impl Frames {
         Ok(frames)
     }
 
-    /// Adds a transform, on `/tf_static` if it holds for all times. A leading `/` of a frame counts for nothing.
+    /// Adds a transform, on `/tf_static` if it holds for all times. A leading `/` of a frame counts for nothing. Returns false for a frame
+    /// too many, which is left out.
     pub fn insert(
         &mut self,
         is_static: bool,
@@ -86,9 +89,14 @@ impl Frames {
         parent: &str,
         child: &str,
         parent_from_child: Isometry3<f64>,
-    ) {
+    ) -> bool {
+        let child = bare(child);
+        if self.edges.len() >= MOST_FRAMES && !self.edges.contains_key(child) {
+            return false;
+        }
         let topic = TOPICS[usize::from(!is_static)];
-        self.add(topic, stamp, bare(parent), bare(child), parent_from_child);
+        self.add(topic, stamp, bare(parent), child, parent_from_child);
+        true
     }
 
     /// Leaves out moving transforms before a time, except the last two of each frame, by which it goes on.
@@ -132,6 +140,13 @@ impl Frames {
         }
         if edge.contradiction.is_none() {
             edge.contradiction = inverse.or_else(|| edge.contradicts(child, topic, stamp, &pose));
+        }
+        // What holds for all times is kept once, however often it is said: by its earliest stamp.
+        if edge.topic == STATIC {
+            if edge.at.keys().next().is_some_and(|first| *first <= stamp) {
+                return;
+            }
+            edge.at.clear();
         }
         edge.at.entry(stamp).or_insert(pose);
     }
@@ -341,6 +356,23 @@ mod tests {
             frames.add("/tf", tenth * SECOND / 10, "map", "base", pose(tenth as f64, 0.0));
         }
         frames
+    }
+
+    #[test]
+    fn what_is_said_again_and_again_takes_no_more_memory() {
+        let mut frames = Frames::default();
+        for second in 0..100 {
+            assert!(frames.insert(true, second * SECOND, "base", "lidar", pose(1.0, 0.0)));
+            // On both topics: it is static, as it was said first.
+            assert!(frames.insert(false, second * SECOND + 1, "/base", "lidar", pose(1.0, 0.0)));
+        }
+        assert_eq!(frames.edges["lidar"].at.len(), 1);
+        for number in 1..MOST_FRAMES {
+            assert!(frames.insert(false, 0, "base", &format!("frame{number}"), pose(1.0, 0.0)));
+        }
+        assert!(!frames.insert(false, 0, "base", "one too many", pose(1.0, 0.0)));
+        assert!(frames.insert(false, 1, "base", "frame7", pose(1.0, 0.0)));
+        assert_eq!(frames.edges.len(), MOST_FRAMES);
     }
 
     fn reason(found: Result<Way, NoWay>) -> String {

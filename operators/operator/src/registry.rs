@@ -112,22 +112,26 @@ impl<S: Source + Send> AnySource for S {
 
 /// A [`Sink`] whose type is no longer known.
 pub trait AnySink: Send {
-    /// See [`Sink::accept`].
-    fn accept(&mut self, port: PortId, message: Message) -> Result<(), Error>;
+    /// See [`Sink::accept`]; `out` takes counts.
+    fn accept(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error>;
     /// See [`Sink::fates`].
     fn fates(&mut self, fates: &[Fated]) -> Result<(), Error>;
-    /// See [`Sink::finish`].
-    fn finish(&mut self, books: &Books) -> Result<(), Error>;
+    /// See [`Sink::finish`]; `out` takes counts.
+    fn finish(&mut self, books: &Books, out: &mut Outputs) -> Result<(), Error>;
+    /// Whether an error is of one message, and the run goes on; else a sink that fails has lost what it should keep.
+    fn outlives_errors(&self) -> bool {
+        false
+    }
 }
 
 impl<S: Sink + Send> AnySink for S {
-    fn accept(&mut self, port: PortId, message: Message) -> Result<(), Error> {
+    fn accept(&mut self, port: PortId, message: Message, _: &mut Outputs) -> Result<(), Error> {
         Sink::on_message(self, port, message)
     }
     fn fates(&mut self, fates: &[Fated]) -> Result<(), Error> {
         Sink::fates(self, fates)
     }
-    fn finish(&mut self, books: &Books) -> Result<(), Error> {
+    fn finish(&mut self, books: &Books, _: &mut Outputs) -> Result<(), Error> {
         Sink::finish(self, books)
     }
 }

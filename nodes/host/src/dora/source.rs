@@ -3,8 +3,8 @@
 use std::collections::BTreeSet;
 use std::time::Duration;
 
-use realo_operator::{AnySource, Error};
-use realo_schemas::{Clock, Nanos};
+use realo_operator::{AnySource, Error, PortId};
+use realo_schemas::{Clock, Message, Nanos};
 
 use super::HostError;
 use super::host::Shared;
@@ -29,15 +29,7 @@ pub(super) fn run(shared: &Shared, stage: usize, source: Box<dyn AnySource>) {
 fn play(shared: &Shared, stage: usize, mut source: Box<dyn AnySource>) -> Result<(), HostError> {
     let mut opened = source.is_live();
     if opened {
-        // What comes from outside does not wait for the graph.
-        open_routes(shared)?;
-        let now = wall_now();
-        let clock = Clock {
-            wall_origin: now,
-            log_origin: now,
-            rate: 1.0,
-        };
-        shared.lock().engine.set_clock(clock);
+        open_live(shared)?;
     }
     let mut sent = BTreeSet::new();
     loop {
@@ -47,6 +39,7 @@ fn play(shared: &Shared, stage: usize, mut source: Box<dyn AnySource>) -> Result
         })?;
         let Some((time, port, message)) = next else { break };
         if is_ending() {
+            end_live(source.as_mut());
             break;
         }
         if !opened {
@@ -65,35 +58,67 @@ fn play(shared: &Shared, stage: usize, mut source: Box<dyn AnySource>) -> Result
         let clock = shared.lock().engine.clock();
         if !wait_until(shared, clock.map_or(0, |clock| clock.wall_at(time))) {
             if is_ending() {
+                end_live(source.as_mut());
                 break;
             }
             return Ok(());
         }
-        let mut state = shared.lock();
-        let now = state.log_now();
-        state.engine.release(stage, port, message, time, now);
-        let leaving = state.engine.take_leaving();
-        shared.follow(&mut state, now);
-        // Whoever reads the log knows from when on the run plays.
-        let is_first = sent.insert(port);
-        let first = is_first.then(|| {
-            let output = state.engine.registration(stage).outputs[port.0].name;
-            format!(
-                "node `{}`: the first message of `{output}` was sent",
-                state.engine.id(stage)
-            )
-        });
-        drop(state);
-        shared.send_all(leaving)?;
-        if let Some(first) = first {
-            eprintln!("{first}");
-        }
+        release(shared, stage, port, message, time, sent.insert(port))?;
     }
     let mut state = shared.lock();
     let now = state.log_now();
     state.engine.close_source(stage, source.counts(), now);
     shared.follow(&mut state, now);
     shared.wake();
+    Ok(())
+}
+
+/// What comes from outside does not wait for the graph.
+fn open_live(shared: &Shared) -> Result<(), HostError> {
+    open_routes(shared)?;
+    let now = wall_now();
+    let clock = Clock {
+        wall_origin: now,
+        log_origin: now,
+        rate: 1.0,
+    };
+    shared.lock().engine.set_clock(clock);
+    Ok(())
+}
+
+/// Lets a source of the world outside end in order, so that it counts what it has; what it still brings comes too late.
+fn end_live(source: &mut dyn AnySource) {
+    if source.is_live() {
+        while let Ok(Some(_)) = source.next() {}
+    }
+}
+
+/// Sends a message; of a port's first one this is said, so that who reads the log knows from when on the run plays.
+fn release(
+    shared: &Shared,
+    stage: usize,
+    port: PortId,
+    message: Message,
+    time: Nanos,
+    is_first: bool,
+) -> Result<(), HostError> {
+    let mut state = shared.lock();
+    let now = state.log_now();
+    state.engine.release(stage, port, message, time, now);
+    let leaving = state.engine.take_leaving();
+    shared.follow(&mut state, now);
+    let first = is_first.then(|| {
+        let output = state.engine.registration(stage).outputs[port.0].name;
+        format!(
+            "node `{}`: the first message of `{output}` was sent",
+            state.engine.id(stage)
+        )
+    });
+    drop(state);
+    shared.send_all(leaving)?;
+    if let Some(first) = first {
+        eprintln!("{first}");
+    }
     Ok(())
 }
 

@@ -102,15 +102,19 @@ impl AnySource for ProgramSource {
 struct ProgramSink(Child);
 
 impl AnySink for ProgramSink {
-    fn accept(&mut self, port: PortId, message: Message) -> Result<(), Error> {
-        self.0.on_input(port, message, &mut Outputs::at(wall_now()))
+    fn accept(&mut self, port: PortId, message: Message, out: &mut Outputs) -> Result<(), Error> {
+        self.0.on_input(port, message, out)
     }
 
     fn fates(&mut self, _: &[Fated]) -> Result<(), Error> {
         Ok(())
     }
 
-    fn finish(&mut self, _: &Books) -> Result<(), Error> {
-        self.0.on_end(&mut Outputs::at(wall_now()))
+    fn finish(&mut self, _: &Books, out: &mut Outputs) -> Result<(), Error> {
+        self.0.on_end(out)
+    }
+
+    fn outlives_errors(&self) -> bool {
+        true
     }
 }

@@ -25,9 +25,11 @@
 //!
 //! A message is a struct as [`realo_schemas::wire`] makes it; its `ready` is when the program wishes it to be sent. An
 //! error in a reply belongs to one message and is counted; a program that exits, closes its output or answers
-//! something else fails the run. A program may be a source or a sink of a graph in realtime, too. A source has no inputs; it is woken
-//! again and again, waits up to 0.1 s for what comes from outside, replies with what came, and ends its streams by a reply without
-//! wakes. A sink has no outputs; it is woken once, before its first input, to open what it needs. After the reply to `end` its standard input is closed, and it exits with 0.
+//! something else fails the run. After the reply to `end` its standard input is closed, and it exits with 0.
+//!
+//! A program may be a source or a sink of a graph in realtime, too. A source has no inputs; it is woken again and again, waits up to
+//! 0.1 s for what comes from outside, replies with what came, and ends its streams by a reply without wakes. A sink has no outputs; it is
+//! woken once, before its first input, to open what it needs.
 
 pub mod frame;
 pub mod hello;
