@@ -8,6 +8,7 @@ use realo_logs::AgentKind;
 
 use crate::map_file::{AgentMap, Height, MapFile, PoseSource, StampClock, quoted};
 use crate::messages::Kind;
+use crate::packets::UDP;
 use crate::survey::{Survey, TopicSurvey, printable};
 
 /// A map file with why it says what it says.
@@ -39,13 +40,14 @@ impl Draft {
             let kinds: BTreeSet<&str> = surveys
                 .iter()
                 .flat_map(|survey| survey.topics.iter().map(|topic| topic.kind.as_str()))
-                .filter(|kind| kind.contains("acket") || kind.contains("Scan"))
+                .filter(|kind| kind.contains("acket") || kind.contains("Scan") || *kind == UDP)
                 .collect();
             let packets = match kinds.is_empty() {
                 true => String::new(),
                 false => format!(
-                    "; topics of packets ({}) are not read: play them through the sensor's driver and record its clouds",
-                    printable(&kinds.into_iter().collect::<Vec<_>>().join(", "))
+                    "; topics of packets ({}) are not read{}",
+                    printable(&kinds.into_iter().collect::<Vec<_>>().join(", ")),
+                    why_not(surveys)
                 ),
             };
             return Err(format!(
@@ -126,7 +128,9 @@ impl Draft {
             height: Height::Ground,
             footprint: None,
             pose: posed.source,
-            imu: posed.imu,
+            imu: posed.imu.or_else(|| group.sensor(&[Kind::Imu], spaces, groups)),
+            fix: None,
+            wheels: group.sensor(&[Kind::TwistWithCovarianceStamped, Kind::TwistStamped], spaces, groups),
             truth: truth.map(|topic| topic.topic.clone()),
             detections: detections.map(|topic| topic.topic.clone()),
             mounts: BTreeMap::new(),
@@ -179,6 +183,17 @@ impl<'a> Group<'a> {
         })
     }
 
+    /// The topic of a motion sensor, with the most messages of the first kind that is there.
+    fn sensor(&self, kinds: &[Kind], spaces: &'a BTreeSet<String>, groups: usize) -> Option<String> {
+        let topics = |kind: &Kind| {
+            let topics = self.topics(*kind, spaces, groups).filter(|topic| is_measured(topic));
+            topics
+                .max_by_key(|topic| topic.messages)
+                .map(|topic| topic.topic.clone())
+        };
+        kinds.iter().find_map(topics)
+    }
+
     /// What says where its agent is, the best of what there is.
     fn pose(&self, spaces: &'a BTreeSet<String>, groups: usize) -> Posed {
         let Group { survey, base, .. } = self;
@@ -209,6 +224,30 @@ impl<'a> Group<'a> {
             imu,
             why,
         }
+    }
+}
+
+/// Whether a topic is measured: of speeds its name must say so, for others are commands.
+fn is_measured(topic: &TopicSurvey) -> bool {
+    if Kind::named(&topic.kind) == Some(Kind::Imu) {
+        return true;
+    }
+    let lower = topic.topic.to_lowercase();
+    ["wheel", "speed", "velocity_status"]
+        .iter()
+        .any(|word| lower.contains(word))
+}
+
+/// Why packets are not clouds: what bags note of them.
+fn why_not(surveys: &[Survey]) -> String {
+    let notes = surveys
+        .iter()
+        .flat_map(|survey| &survey.notes)
+        .filter(|note| note.starts_with("packets of"));
+    let notes: Vec<String> = notes.map(|note| format!("; {}", printable(note))).collect();
+    match notes.is_empty() {
+        true => ": play them through the sensor's driver and record its clouds".into(),
+        false => notes.concat(),
     }
 }
 
@@ -313,6 +352,8 @@ impl fmt::Display for Draft {
             line(f, "pose", &agent.pose.to_string())?;
             for (field, topic) in [
                 ("imu", &agent.imu),
+                ("fix", &agent.fix),
+                ("wheels", &agent.wheels),
                 ("truth", &agent.truth),
                 ("detections", &agent.detections),
             ] {

@@ -78,9 +78,15 @@ pub struct AgentMap {
     pub footprint: Option<[f64; 4]>,
     /// Where its poses come from.
     pub pose: PoseSource,
-    /// A topic of attitudes, where poses are only positions.
+    /// A topic of its inertial unit: the attitude, where poses are only positions, and the motion that the log takes over.
     #[serde(default)]
     pub imu: Option<String>,
+    /// A topic of positions that the log takes over beside the poses.
+    #[serde(default)]
+    pub fix: Option<String>,
+    /// A topic of the speed of its wheels that the log takes over.
+    #[serde(default)]
+    pub wheels: Option<String>,
     /// A topic of all objects.
     #[serde(default)]
     pub truth: Option<String>,

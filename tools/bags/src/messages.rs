@@ -4,8 +4,9 @@ mod boxes;
 
 use nalgebra::{Isometry3, Quaternion, UnitQuaternion};
 use realo_logs::cdr::{CdrError, CdrReader};
+use realo_logs::motion::{ImuReading, WheelReading};
 use realo_logs::pose::isometry;
-use realo_schemas::Nanos;
+use realo_schemas::{FixQuality, Nanos};
 
 pub use self::boxes::{Object, Objects, detections, markers};
 
@@ -26,6 +27,10 @@ pub enum Kind {
     NavSatFix,
     /// `sensor_msgs/Imu`.
     Imu,
+    /// `geometry_msgs/TwistStamped`.
+    TwistStamped,
+    /// `geometry_msgs/TwistWithCovarianceStamped`.
+    TwistWithCovarianceStamped,
     /// `sensor_msgs/TimeReference`.
     TimeReference,
     /// `vision_msgs/Detection3DArray`.
@@ -35,7 +40,7 @@ pub enum Kind {
 }
 
 impl Kind {
-    const ALL: [(Kind, &str); 11] = [
+    const ALL: [(Kind, &str); 13] = [
         (Kind::PointCloud2, "sensor_msgs/PointCloud2"),
         (Kind::Transforms, "tf2_msgs/TFMessage"),
         (Kind::Transforms, "tf/tfMessage"),
@@ -47,6 +52,11 @@ impl Kind {
         ),
         (Kind::NavSatFix, "sensor_msgs/NavSatFix"),
         (Kind::Imu, "sensor_msgs/Imu"),
+        (Kind::TwistStamped, "geometry_msgs/TwistStamped"),
+        (
+            Kind::TwistWithCovarianceStamped,
+            "geometry_msgs/TwistWithCovarianceStamped",
+        ),
         (Kind::TimeReference, "sensor_msgs/TimeReference"),
         (Kind::Detection3DArray, "vision_msgs/Detection3DArray"),
         (Kind::MarkerArray, "visualization_msgs/MarkerArray"),
@@ -63,6 +73,14 @@ impl Kind {
         matches!(
             self,
             Kind::Odometry | Kind::PoseStamped | Kind::PoseWithCovarianceStamped | Kind::NavSatFix
+        )
+    }
+
+    /// Whether messages say how fast something is.
+    pub fn is_speed(self) -> bool {
+        matches!(
+            self,
+            Kind::Odometry | Kind::TwistStamped | Kind::TwistWithCovarianceStamped
         )
     }
 
@@ -109,6 +127,21 @@ pub struct Fix {
     pub frame: String,
     /// Latitude and longitude on WGS 84, degrees, and height over the ellipsoid, m; `None` without a position.
     pub geodetic: Option<[f64; 3]>,
+    /// How the position was found.
+    pub quality: Option<FixQuality>,
+    /// Row-major 3×3 covariance along east, north and up, m², where known.
+    pub covariance: Option<[f64; 9]>,
+}
+
+/// What a motion sensor measured.
+#[derive(Clone, Debug, PartialEq)]
+pub struct Measured<T> {
+    /// When.
+    pub stamp: Nanos,
+    /// The frame of the sensor.
+    pub frame: String,
+    /// What it says.
+    pub reading: T,
 }
 
 /// What an inertial unit says of its attitude.
@@ -190,6 +223,8 @@ pub fn fix(input: &mut CdrReader) -> Result<Fix, CdrError> {
     let status = input.u8()? as i8;
     input.u16()?;
     let geodetic = input.f64s::<3>()?;
+    let covariance = input.f64s::<9>()?;
+    let is_known = input.u8()? != 0 && covariance.iter().all(|v| v.is_finite());
     let is_there = status >= 0 && geodetic.iter().all(|v| v.is_finite());
     if is_there {
         realo_logs::MapOrigin::new(geodetic)?;
@@ -198,6 +233,8 @@ pub fn fix(input: &mut CdrReader) -> Result<Fix, CdrError> {
         stamp,
         frame: frame.into(),
         geodetic: is_there.then_some(geodetic),
+        quality: FixQuality::of_code(status.into()).filter(|_| is_there),
+        covariance: is_known.then_some(covariance),
     })
 }
 
@@ -217,6 +254,73 @@ pub fn attitude(input: &mut CdrReader) -> Result<Attitude, CdrError> {
         frame: frame.into(),
         world_from_unit: is_known.then(|| UnitQuaternion::from_quaternion(quaternion)),
     })
+}
+
+/// Reads the motion of an `Imu`: rates and forces along the axes of its frame. `None` of a unit that gives its attitude alone: a
+/// first covariance of −1 says so, and so do zeros, since gravity is never 0.
+///
+/// # Errors
+/// Bytes that are no such message; numbers that are not finite.
+pub fn inertial(input: &mut CdrReader) -> Result<Option<Measured<ImuReading>>, CdrError> {
+    let (stamp, frame) = input.header()?;
+    let (_attitude, _covariance) = (input.f64s::<4>()?, input.f64s::<9>()?);
+    let angular_rate: [f64; 3] = input.f64s()?;
+    let of_rate = input.f64s::<9>()?;
+    let specific_force: [f64; 3] = input.f64s()?;
+    let of_force = input.f64s::<9>()?;
+    if of_rate[0] == -1.0 || of_force[0] == -1.0 || specific_force == [0.0; 3] {
+        return Ok(None);
+    }
+    if !angular_rate.iter().chain(&specific_force).all(|v| v.is_finite()) {
+        return Err(format!(
+            "expected finite rates and accelerations, found {angular_rate:?} and {specific_force:?}"
+        ));
+    }
+    let largest = |covariance: [f64; 9]| {
+        let most = [0, 4, 8].map(|place| covariance[place]).into_iter().fold(0.0, f64::max);
+        (most > 0.0 && most.is_finite()).then_some(most)
+    };
+    Ok(Some(Measured {
+        stamp,
+        frame: frame.into(),
+        reading: ImuReading {
+            angular_rate,
+            specific_force,
+            variance: largest(of_rate)
+                .zip(largest(of_force))
+                .map(|(rate, force)| [rate, force]),
+        },
+    }))
+}
+
+/// Reads the speed in a `TwistStamped`, a `TwistWithCovarianceStamped` or an `Odometry`, which is that of its child.
+///
+/// # Errors
+/// Bytes that are no such message; numbers that are not finite.
+pub fn speed(kind: Kind, input: &mut CdrReader) -> Result<Measured<WheelReading>, CdrError> {
+    let (stamp, frame) = input.header()?;
+    let frame = match kind {
+        Kind::Odometry => {
+            let child = input.string()?;
+            let (_pose, _covariance) = (input.f64s::<7>()?, input.f64s::<36>()?);
+            child
+        }
+        _ => frame,
+    };
+    let velocity = input.f64s::<3>()?;
+    let _turning = input.f64s::<3>()?;
+    let variance = match kind {
+        Kind::TwistStamped => None,
+        _ => Some(input.f64s::<36>()?[0]).filter(|variance| *variance > 0.0 && variance.is_finite()),
+    };
+    match velocity.iter().all(|v| v.is_finite()) {
+        true => Ok(Measured {
+            stamp,
+            frame: frame.into(),
+            reading: WheelReading { velocity, variance },
+        }),
+        false => Err(format!("expected a finite velocity, found {velocity:?}")),
+    }
 }
 
 /// Reads a `TimeReference`: a time of the sender's clock, the same of the reference (ns), and the name of the reference.

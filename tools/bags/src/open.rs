@@ -9,6 +9,7 @@ use tempfile::NamedTempFile;
 use crate::db3::Db3;
 use crate::mcap::Mcap;
 use crate::pack::{ZSTD, unpack_file};
+use crate::pcap::{self, Pcap};
 use crate::rosbag1::Rosbag1;
 use crate::rosbag2::{METADATA, Rosbag2};
 use crate::{Bag, BagError, rosbag1, sqlite};
@@ -18,7 +19,8 @@ const MCAP: &[u8] = b"\x89MCAP0\r\n";
 const LFS: &[u8] = b"version https://git-lfs";
 /// Bytes that tell what a file is.
 const LOOKED_AT: u64 = 32;
-const SORTS: &str = "a bag of ROS 1 (`.bag`), the folder of a bag of ROS 2, or one of its files (`.db3`, `.mcap`)";
+const SORTS: &str = "a bag of ROS 1 (`.bag`), the folder of a bag of ROS 2, or one of its files (`.db3`, `.mcap`), \
+                     or a capture of packets (`.pcap`)";
 
 /// Opens a bag: a file of ROS 1, a folder of ROS 2 or one of its files, or an MCAP file of anybody.
 ///
@@ -32,7 +34,8 @@ pub fn open(path: &Path) -> Result<Box<dyn Bag>, BagError> {
         let dir = path.parent().filter(|dir| !dir.as_os_str().is_empty());
         return Ok(Box::new(Rosbag2::open(dir.unwrap_or(Path::new(".")))?));
     }
-    if head(path)?.starts_with(rosbag1::MAGIC) {
+    let begin = head(path)?;
+    if begin.starts_with(rosbag1::MAGIC) || pcap::MAGICS.iter().any(|magic| begin.starts_with(magic)) {
         return open_file(path);
     }
     let (unpacked, lost) = unpacked(path)?;
@@ -70,6 +73,7 @@ pub fn recognise(path: &Path) -> Result<&'static str, String> {
             Err(error) => Err(error.to_string()),
         },
         head if head.starts_with(&ZSTD) => Ok("it is compressed by zstd"),
+        head if pcap::MAGICS.iter().any(|magic| head.starts_with(magic)) => Ok("it is a capture of packets"),
         _ => Err(format!("it does not begin as {SORTS}")),
     }
 }
@@ -108,6 +112,7 @@ pub(crate) fn open_file(path: &Path) -> Result<Box<dyn Bag>, BagError> {
         head if head.starts_with(rosbag1::MAGIC) => Ok(Box::new(Rosbag1::open(path)?)),
         head if head.starts_with(sqlite::MAGIC) => Ok(Box::new(Db3::open(path)?)),
         head if head.starts_with(MCAP) => Ok(Box::new(Mcap::open(path)?)),
+        head if pcap::MAGICS.iter().any(|magic| head.starts_with(magic)) => Ok(Box::new(Pcap::open(path)?)),
         head => Err(BagError::content(
             path,
             format!("expected {SORTS}, found {}", what(path, head)),
@@ -123,6 +128,9 @@ fn what(path: &Path, head: &[u8]) -> String {
     };
     match head {
         [] => "an empty file; the recorder ended before its first message, or the copy failed".into(),
+        head if head.starts_with(&pcap::NEWER) => {
+            format!("a capture of the newer form; convert it by `editcap -F pcap {name} packets.pcap`")
+        }
         head if head.starts_with(LFS) => "a pointer of Git LFS; run `git lfs pull` in its folder".into(),
         head if head.starts_with(b"\x1f\x8b") => unpack("gzip", "gunzip -k"),
         head if head.starts_with(b"BZh") => unpack("bzip2", "bunzip2 -k"),

@@ -54,7 +54,18 @@ pub struct Connection {
 }
 
 impl Connection {
-    /// Starts to read a message.
+    /// Starts to read a message of this connection.
+    ///
+    /// # Errors
+    /// A serialisation that is not known; why there is nothing to read.
+    pub fn reader_of<'a>(&self, message: &'a Message) -> Result<CdrReader<'a>, String> {
+        match message.fault() {
+            Some(fault) => Err(fault.into()),
+            None => self.reader(message.data()),
+        }
+    }
+
+    /// Starts to read the bytes of a message.
     ///
     /// # Errors
     /// A serialisation that is not known.
@@ -93,6 +104,7 @@ pub struct Message {
     pub log_time: Nanos,
     bytes: Arc<Vec<u8>>,
     body: Range<usize>,
+    fault: Option<String>,
 }
 
 impl Message {
@@ -102,7 +114,21 @@ impl Message {
             log_time: believed(log_time),
             bytes,
             body,
+            fault: None,
         }
+    }
+
+    /// What stands for a cloud that could not be decoded, with why.
+    pub(crate) fn faulty(connection: usize, log_time: Nanos, fault: String) -> Self {
+        Message {
+            fault: Some(fault),
+            ..Message::owned(connection, log_time, Vec::new())
+        }
+    }
+
+    /// Why it holds nothing, where it was to be decoded of packets.
+    pub fn fault(&self) -> Option<&str> {
+        self.fault.as_deref()
     }
 
     pub(crate) fn owned(connection: usize, log_time: Nanos, bytes: Vec<u8>) -> Self {
@@ -132,6 +158,11 @@ pub trait Bag {
 
     /// What is missing of it or strange about it, a line each.
     fn notes(&self) -> &[String];
+
+    /// Topics that are decoded from others, a line each.
+    fn decoded(&self) -> &[String] {
+        &[]
+    }
 
     /// Messages of some connections in the order of log time.
     ///

@@ -30,6 +30,8 @@ pub struct Survey {
     pub span: Option<[Nanos; 2]>,
     /// What is missing or strange.
     pub notes: Vec<String>,
+    /// Topics that are decoded from others.
+    pub decoded: Vec<String>,
     /// Its topics, by type and name.
     pub topics: Vec<TopicSurvey>,
     /// How frames lie in each other.
@@ -79,6 +81,7 @@ pub fn survey(bag: &dyn Bag) -> Result<Survey, BagError> {
         format: bag.format(),
         span: bag.span(),
         notes: bag.notes().to_vec(),
+        decoded: bag.decoded().to_vec(),
         topics: Vec::new(),
         frames: Frames::default(),
     };
@@ -108,6 +111,9 @@ pub fn survey(bag: &dyn Bag) -> Result<Survey, BagError> {
                         break;
                     }
                 };
+                if message.fault().is_some() {
+                    continue;
+                }
                 times.push(message.log_time);
                 let looked = look(kind, connection, &message, &mut topic, &mut found.frames);
                 if let Err(reason) = looked {
@@ -247,6 +253,9 @@ impl fmt::Display for Survey {
         }
         for note in &self.notes {
             write!(f, "\n  note: {}", printable(note))?;
+        }
+        for line in &self.decoded {
+            write!(f, "\n  {}", printable(line))?;
         }
         let mut kind = None;
         for topic in &self.topics {

@@ -6,6 +6,7 @@
 mod agents;
 mod clocks;
 mod heads;
+mod motion;
 mod objects;
 mod small;
 mod summary;
@@ -61,7 +62,10 @@ impl Bags {
     }
 
     fn open(&self) -> Result<Import, ImportError> {
-        let opened = self.paths.iter().map(|path| realo_bags::open(path));
+        let opened = self
+            .paths
+            .iter()
+            .map(|path| realo_bags::open(path).and_then(realo_bags::decoded));
         let bags = opened.collect::<Result<Vec<_>, _>>()?;
         let (mut map, draft) = match &self.options.map {
             Some(file) => (MapFile::read(file)?, None),

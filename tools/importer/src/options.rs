@@ -136,7 +136,7 @@ pub const OPTIONS: &[OptionInfo] = &[
     option(
         "intensity-range",
         "MAX",
-        "The largest intensity of the sensors' scale, which becomes 255 [default: by the brightest of the first sweeps]",
+        "The largest intensity of the sensors' scale, which becomes 255; where none is given, the brightest of the first sweeps chooses it",
     ),
     choice(
         "cloud",

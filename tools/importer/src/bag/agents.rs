@@ -20,6 +20,10 @@ pub struct Agent {
     pub pose: Option<Topic>,
     /// Attitudes.
     pub imu: Option<Topic>,
+    /// Positions beside the poses.
+    pub fix: Option<Topic>,
+    /// The speed of its wheels.
+    pub wheels: Option<Topic>,
     /// All objects.
     pub truth: Option<Topic>,
     /// Recorded detections.
@@ -29,9 +33,22 @@ pub struct Agent {
 impl Agent {
     /// Its topics besides clouds.
     pub fn small(&self) -> impl Iterator<Item = &Topic> {
-        [&self.pose, &self.imu, &self.truth, &self.detections]
-            .into_iter()
-            .flatten()
+        [
+            &self.pose,
+            &self.imu,
+            &self.fix,
+            &self.wheels,
+            &self.truth,
+            &self.detections,
+        ]
+        .into_iter()
+        .flatten()
+    }
+
+    /// The topic of its satellite receiver: that of its positions, or that of its poses.
+    pub fn receiver(&self) -> Option<&Topic> {
+        let of_poses = self.pose.as_ref().filter(|topic| topic.kind == Kind::NavSatFix);
+        self.fix.as_ref().or(of_poses)
     }
 }
 
@@ -97,6 +114,13 @@ fn one(bags: &[Box<dyn Bag>], name: &str, map: &AgentMap) -> Result<Agent, Strin
         clouds,
         pose,
         imu: optional("imu", &map.imu, "an Imu", |kind| kind == Kind::Imu)?,
+        fix: optional("fix", &map.fix, "a NavSatFix", |kind| kind == Kind::NavSatFix)?,
+        wheels: optional(
+            "wheels",
+            &map.wheels,
+            "a TwistStamped, TwistWithCovarianceStamped or Odometry",
+            Kind::is_speed,
+        )?,
         truth: optional(
             "truth",
             &map.truth,

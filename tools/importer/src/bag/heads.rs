@@ -60,7 +60,7 @@ pub fn heads(import: &Import, agent: &Agent, topic: &Topic) -> Result<Heads, Imp
     let mut reason = None;
     for message in &looked {
         let read = connection
-            .reader(message.data())
+            .reader_of(message)
             .and_then(|mut input| CloudReader::read(&mut input));
         match read {
             Ok(mut reader) => {
@@ -75,7 +75,7 @@ pub fn heads(import: &Import, agent: &Agent, topic: &Topic) -> Result<Heads, Imp
     let mut found: Option<Heads> = None;
     for message in &looked {
         let read = connection
-            .reader(message.data())
+            .reader_of(message)
             .and_then(|mut input| CloudReader::read(&mut input));
         let Ok(mut reader) = read else { continue };
         reader.stamp = stamp_of(import.map.clock, reader.stamp, message.log_time);

@@ -3,9 +3,10 @@
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::hash::{DefaultHasher, Hash, Hasher};
 
-use realo_bags::messages::{self, Attitude, Fix, Kind, Objects, Pose};
+use realo_bags::messages::{self, Attitude, Fix, Kind, Measured, Objects, Pose};
 use realo_bags::{Bag, Connection, Message, is_static};
 use realo_logs::Frames;
+use realo_logs::motion::{FixReading, ImuReading, WheelReading};
 use realo_schemas::Nanos;
 
 use super::agents::{Agent, Topic};
@@ -44,6 +45,59 @@ pub struct BagSmall {
     pub seen: Seen,
 }
 
+/// What motion sensors of an agent measured.
+#[derive(Default)]
+pub struct Motion {
+    /// Its inertial unit.
+    pub imu: Vec<At<Measured<ImuReading>>>,
+    /// Its satellite receiver.
+    pub fixes: Vec<At<Measured<FixReading>>>,
+    /// Its wheels.
+    pub wheels: Vec<At<Measured<WheelReading>>>,
+}
+
+impl Motion {
+    /// Takes what a message measured, if its topic is one of the agent's sensors.
+    fn take(
+        &mut self,
+        agent: &Agent,
+        connection: &Connection,
+        message: &Message,
+        kind: Kind,
+        stamped: &impl Fn(Nanos) -> Nanos,
+    ) -> Result<(), String> {
+        let begin = || connection.reader(message.data());
+        let is = |topic: Option<&Topic>| topic.is_some_and(|topic| topic.connection == message.connection);
+        let log_time = message.log_time;
+        if is(agent.imu.as_ref())
+            && let Some(mut said) = messages::inertial(&mut begin()?)?
+        {
+            said.stamp = stamped(said.stamp);
+            self.imu.push(At { log_time, said });
+        }
+        if is(agent.receiver()) {
+            let fix = messages::fix(&mut begin()?)?;
+            let reading = FixReading {
+                quality: fix.quality,
+                geodetic: fix.geodetic.unwrap_or([f64::NAN; 3]),
+                covariance: fix.covariance,
+            };
+            let said = Measured {
+                stamp: stamped(fix.stamp),
+                frame: fix.frame,
+                reading,
+            };
+            self.fixes.push(At { log_time, said });
+        }
+        if is(agent.wheels.as_ref()) {
+            let mut said = messages::speed(kind, &mut begin()?)?;
+            said.stamp = stamped(said.stamp);
+            self.wheels.push(At { log_time, said });
+        }
+        Ok(())
+    }
+}
+
 /// What an agent's topics say besides clouds.
 #[derive(Default)]
 pub struct AgentSmall {
@@ -53,6 +107,8 @@ pub struct AgentSmall {
     pub fixes: Vec<At<Fix>>,
     /// Attitudes.
     pub attitudes: Vec<Attitude>,
+    /// What its inertial unit, its receiver and its wheels measured.
+    pub motion: Motion,
     /// All objects.
     pub truth: Vec<At<Objects>>,
     /// Recorded detections.
@@ -123,7 +179,7 @@ fn wanted(import: &Import, bag: usize) -> impl Iterator<Item = (usize, u64)> {
 }
 
 fn is_in_all(import: &Import, connection: &Connection) -> bool {
-    let is_image = ["Image", "Cloud", "Scan", "Packet"]
+    let is_image = ["Image", "Cloud", "Scan", "Packet", "payload"]
         .iter()
         .any(|word| connection.kind.contains(word));
     let has = |bag: &dyn Bag| {
@@ -204,6 +260,7 @@ impl Small {
                 said.stamp = stamped(said.stamp);
                 small.attitudes.push(said);
             }
+            small.motion.take(agent, connection, message, kind, &stamped)?;
             let objects = || -> Result<At<Objects>, String> {
                 let mut said = match kind {
                     Kind::MarkerArray => messages::markers(begin)?,

@@ -20,6 +20,10 @@ pub struct BagAgent {
     pub points: usize,
     /// Poses.
     pub poses: usize,
+    /// Poses with a covariance.
+    pub covariances: usize,
+    /// Messages of its inertial unit, its receiver and its wheels.
+    pub motion: [usize; 3],
     /// Sweeps with truth.
     pub truths: usize,
     /// Sweeps whose truth is of another time, and was brought to theirs.
@@ -47,6 +51,8 @@ pub struct BagSummary {
     pub bags: Vec<String>,
     /// What is missing of them or strange about them.
     pub notes: Vec<String>,
+    /// Topics of theirs that were decoded from packets.
+    pub decoded: Vec<String>,
     /// Its agents.
     pub agents: Vec<BagAgent>,
     /// How the clocks were joined.
@@ -74,6 +80,7 @@ impl fmt::Display for BagSummary {
         };
         lines(f, "bag: ", &self.bags)?;
         lines(f, "note: ", &self.notes)?;
+        lines(f, "", &self.decoded)?;
         if let Some(draft) = &self.draft {
             writeln!(f, "without --map, this draft was taken:\n{}", draft.trim_end())?;
         }
@@ -102,6 +109,16 @@ impl fmt::Display for BagSummary {
                 write!(f, ", {} sweeps with detections", agent.detections)?;
             }
             write!(f, "\n  poses: {}", printable(&agent.pose_words))?;
+            if agent.covariances > 0 {
+                write!(f, "; {} with a covariance", agent.covariances)?;
+            }
+            if agent.motion != [0; 3] {
+                let [imu, fixes, wheels] = agent.motion;
+                write!(
+                    f,
+                    "\n  motion sensors: {imu} samples of the inertial unit, {fixes} positions, {wheels} speeds of the wheels"
+                )?;
+            }
             write!(
                 f,
                 "\n  frame {:.2} m over the ground; times: {}",

@@ -122,7 +122,7 @@ impl<'a> Sweeps<'a> {
         let topic = topic.expect("only topics of clouds are read");
         let connection = &self.import.bags[self.agent.bag].connections()[message.connection];
         let read = connection
-            .reader(message.data())
+            .reader_of(&message)
             .and_then(|mut input| CloudReader::read(&mut input))
             .and_then(|reader| self.placed(reader, topic, message.log_time));
         let sweep = match read {

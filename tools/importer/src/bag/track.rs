@@ -1,8 +1,10 @@
 //! Where an agent's frame is in the world, over time.
 
-use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use std::collections::BTreeMap;
+
+use nalgebra::{Isometry3, Matrix6, Translation3, UnitQuaternion, Vector3};
 use realo_bags::map_file::{PoseSource, way};
-use realo_bags::messages::{Attitude, Fix, Kind};
+use realo_bags::messages::{Attitude, Fix, Kind, Pose};
 use realo_logs::{MapOrigin, bare};
 use realo_schemas::geometry::interpolate;
 use realo_schemas::{Nanos, to_millis, to_seconds};
@@ -20,6 +22,8 @@ const BEYOND: Nanos = 150_000_000;
 const SPARSE: Nanos = 120_000_000;
 /// An attitude is of the same time as a position, ns.
 const SAME_TIME: Nanos = 100_000_000;
+/// A larger variance says that nothing is known, m² or rad².
+const MOST_VARIANCE: f64 = 1e12;
 /// A course is known where a vehicle went on by so much, m.
 const MOVED: f64 = 0.5;
 
@@ -31,6 +35,8 @@ pub struct Track {
     pub is_fixed: bool,
     /// How it was found, in words.
     pub words: String,
+    /// Covariances of poses by their stamps, where the bag has them.
+    pub covariances: BTreeMap<Nanos, Box<[f64; 36]>>,
 }
 
 impl Track {
@@ -39,6 +45,7 @@ impl Track {
             poses: vec![(0, 0, pose)],
             is_fixed: true,
             words,
+            covariances: BTreeMap::new(),
         }
     }
 
@@ -49,6 +56,7 @@ impl Track {
             poses,
             is_fixed: false,
             words,
+            covariances: BTreeMap::new(),
         }
     }
 
@@ -130,7 +138,7 @@ pub fn track(
             of_fixes(agent, bag, &ours.fixes, &ours.attitudes, &origin, &topic.name)
         }
         (_, Some(topic)) => {
-            let mut poses = Vec::new();
+            let (mut poses, mut covariances) = (Vec::new(), BTreeMap::new());
             let mut words = BTreeWords::default();
             for At { log_time, said } in &ours.poses {
                 let stamp = said.stamp;
@@ -156,7 +164,11 @@ pub fn track(
                     }),
                 };
                 match world_from_frame {
-                    Ok(from) => poses.push((stamp, *log_time, from * said.frame_from_child * child_from_frame)),
+                    Ok(from) => {
+                        let pose = from * said.frame_from_child * child_from_frame;
+                        covariances.extend(covariance(said, &from, &child_from_frame).map(|known| (stamp, known)));
+                        poses.push((stamp, *log_time, pose));
+                    }
                     Err(reason) => faults.add(
                         &topic.name,
                         format!("poses are in `{frame}`, and nothing leads to the world `{world}`: {reason}"),
@@ -180,7 +192,10 @@ pub fn track(
                     ),
                 }));
             }
-            Track::moving(poses, format!("`{}` ({}){words}", topic.name, words_of(topic.kind)))
+            Track {
+                covariances,
+                ..Track::moving(poses, format!("`{}` ({}){words}", topic.name, words_of(topic.kind)))
+            }
         }
         (_, None) => of_transforms(import, agent, bag, ours.heads[0].stamps[0][0], faults).map_err(wrong)?,
     };
@@ -188,6 +203,40 @@ pub fn track(
         true => Err(wrong(format!("expected poses, found none in {}", track.words))),
         false => Ok(track),
     }
+}
+
+/// The covariance of a pose in the world, where its message has one.
+fn covariance(
+    said: &Pose,
+    world_from_frame: &Isometry3<f64>,
+    child_from_frame: &Isometry3<f64>,
+) -> Option<Box<[f64; 36]>> {
+    let arm = (world_from_frame * said.frame_from_child).rotation * child_from_frame.translation.vector;
+    let moved = moved_covariance(said.covariance.as_ref()?, &world_from_frame.rotation, &arm)?;
+    Some(Box::new(moved))
+}
+
+/// The covariance of a pose whose frame is turned, and whose origin is moved by `arm` in the new frame, m: over x, y, z and
+/// rotations about them, row-major. `None` of one that no pose can have.
+fn moved_covariance(covariance: &[f64; 36], turn: &UnitQuaternion<f64>, arm: &Vector3<f64>) -> Option<[f64; 36]> {
+    let turn = turn.to_rotation_matrix();
+    let mut jacobian = Matrix6::zeros();
+    jacobian.fixed_view_mut::<3, 3>(0, 0).copy_from(turn.matrix());
+    jacobian.fixed_view_mut::<3, 3>(3, 3).copy_from(turn.matrix());
+    jacobian
+        .fixed_view_mut::<3, 3>(0, 3)
+        .copy_from(&(-arm.cross_matrix() * turn.matrix()));
+    let given = Matrix6::from_row_slice(covariance);
+    let symmetric = (given + given.transpose()) * 0.5;
+    let is_one = (given - symmetric).abs().max() <= 1e-6 * given.abs().max()
+        && symmetric
+            .diagonal()
+            .iter()
+            .all(|variance| (0.0..=MOST_VARIANCE).contains(variance));
+    let moved = jacobian * symmetric * jacobian.transpose();
+    let moved = (moved + moved.transpose()) * 0.5;
+    let numbers: [f64; 36] = moved.transpose().as_slice().try_into().ok()?;
+    is_one.then_some(numbers)
 }
 
 /// Remarks, each once.
@@ -391,6 +440,33 @@ mod tests {
         assert!(one.at(100 * ms).is_some() && one.at(200 * ms).is_none() && one.is_sparse());
         assert!(Track::moving(Vec::new(), String::new()).at(0).is_none());
         assert_eq!(Track::fixed(along(4.0), String::new()).at(1 << 60), Some(along(4.0)));
+    }
+
+    #[test]
+    fn covariances_turn_with_their_frame_and_grow_with_the_arm() {
+        let mut covariance = [0.0; 36];
+        for (axis, variance) in [4.0, 1.0, 0.25, 0.0, 0.0, 0.01].into_iter().enumerate() {
+            covariance[7 * axis] = variance;
+        }
+        let turn = UnitQuaternion::from_euler_angles(0.0, 0.0, std::f64::consts::FRAC_PI_2);
+        let still = moved_covariance(&covariance, &turn, &Vector3::zeros()).unwrap();
+        for (axis, variance) in [1.0, 4.0, 0.25, 0.0, 0.0, 0.01].into_iter().enumerate() {
+            assert!((still[7 * axis] - variance).abs() < 1e-12, "{axis}");
+        }
+        // 10 m ahead along y of the new frame, an error of the heading of 0.1 rad is 1 m aside.
+        let moved = moved_covariance(&covariance, &turn, &Vector3::new(0.0, 10.0, 0.0)).unwrap();
+        assert!((moved[0] - 2.0).abs() < 1e-12 && (moved[7] - 4.0).abs() < 1e-12);
+        assert!((moved[5] + 0.1).abs() < 1e-12 && (moved[30] + 0.1).abs() < 1e-12);
+        covariance[1] = 0.5;
+        assert!(
+            moved_covariance(&covariance, &turn, &Vector3::zeros()).is_none(),
+            "it is not symmetric"
+        );
+        (covariance[1], covariance[0]) = (0.0, -1.0);
+        assert!(
+            moved_covariance(&covariance, &turn, &Vector3::zeros()).is_none(),
+            "a variance is below 0"
+        );
     }
 
     #[test]

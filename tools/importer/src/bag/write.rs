@@ -8,6 +8,7 @@ use realo_schemas::{Boxes, Nanos};
 
 use super::agents::Agent;
 use super::clocks::Clocks;
+use super::motion::MotionQueue;
 use super::objects::Timeline;
 use super::small::{AgentSmall, Small};
 use super::sweeps::{Sweep, Sweeps, height};
@@ -28,6 +29,7 @@ struct State {
     detections: Option<Timeline>,
     /// Poses that are written already.
     posed: usize,
+    motion: MotionQueue,
     sparse: bool,
     tilts: [f64; 2],
     last: Option<Sweep>,
@@ -54,6 +56,17 @@ pub fn write(
         .agents
         .iter()
         .any(|agent| agent.pose.as_ref().is_some_and(|pose| pose.kind == Kind::NavSatFix));
+    if let Some(agent) = import.agents.iter().find(|agent| agent.fix.is_some())
+        && !is_earth
+        && import.map.map_origin.is_none()
+    {
+        let reason = format!(
+            "agents.{}.fix: expected `map_origin: [latitude, longitude, height]` of the world `{}` in the map file, found none: without it \
+             positions say nothing of that world; write it, or leave `fix` out",
+            agent.name, import.map.world
+        );
+        return Err(ImportError::Option(reason));
+    }
     let origin = origin.filter(|_| is_earth || import.map.map_origin.is_some());
     let mut readers = readers(import, &small, clocks, &tracks, &states)?;
     let mut writing = Writing {
@@ -99,6 +112,7 @@ fn state(
         [&agent.truth, &agent.detections].map(|topic| topic.as_ref().map(|topic| topic.name.clone()));
     let ours = &mut small.agents[place];
     let messages = [std::mem::take(&mut ours.truth), std::mem::take(&mut ours.detections)];
+    let motion = std::mem::take(&mut ours.motion);
     let frames = &small.bags[agent.bag].frames;
     let heads = &small.agents[place].heads;
     let height = height(agent, frames, track, &heads[0])
@@ -129,7 +143,9 @@ fn state(
         intensities: words(|heads| &heads.intensity_words),
         ..BagAgent::default()
     };
+    let motion = MotionQueue::new(motion, agent, frames, height, faults);
     Ok(State {
+        motion,
         sparse: track.is_sparse(),
         height,
         truth,
@@ -217,6 +233,7 @@ impl Writing<'_> {
             };
             for other in 0..self.states.len() {
                 self.poses(other, sweep.ready)?;
+                self.motion(other, sweep.ready)?;
             }
             self.sweep(place, &sweep)?;
             self.compare(place, &sweep);
@@ -229,7 +246,17 @@ impl Writing<'_> {
             let last = self.states[place].last.as_ref();
             let until = last.map_or(Nanos::MIN, |sweep| sweep.ready.saturating_add(500_000_000));
             self.poses(place, until)?;
+            self.motion(place, until)?;
         }
+        Ok(())
+    }
+
+    /// Writes what motion sensors of an agent had measured at a time of the log.
+    fn motion(&mut self, place: usize, until: Nanos) -> Result<(), ImportError> {
+        let (name, clock) = (&self.import.agents[place].name, &self.clocks.agents[place]);
+        let state = &mut self.states[place];
+        state.motion.write(&mut self.log, name, clock, until)?;
+        state.summary.motion = state.motion.counts();
         Ok(())
     }
 
@@ -239,8 +266,8 @@ impl Writing<'_> {
         if track.is_fixed {
             return Ok(());
         }
-        while let Some((stamp, log_time, world_from_frame)) = track.poses.get(state.posed) {
-            let stamp = stamp.saturating_add(clock.stamp);
+        while let Some((at, log_time, world_from_frame)) = track.poses.get(state.posed) {
+            let stamp = at.saturating_add(clock.stamp);
             let ready = log_time.saturating_add(clock.ready).max(stamp);
             if ready > until {
                 break;
@@ -249,7 +276,10 @@ impl Writing<'_> {
             if stamp >= 0 {
                 let body = world_from_frame * by_pose(&world_from_frame.rotation, state.height).inverse();
                 let name = &self.import.agents[place].name;
-                self.log.pose(name, stamp, ready, &recorded(body))?;
+                let mut pose = recorded(body);
+                pose.covariance = track.covariances.get(at).cloned();
+                state.summary.covariances += usize::from(pose.covariance.is_some());
+                self.log.pose(name, stamp, ready, &pose)?;
                 state.summary.poses += 1;
             }
         }
@@ -343,6 +373,7 @@ impl Writing<'_> {
                 .clone()
                 .map(|bag| format!("`{}`, {}", bag.path().display(), bag.format()))
                 .collect(),
+            decoded: bags.clone().flat_map(|bag| bag.decoded().iter().cloned()).collect(),
             notes: bags.flat_map(|bag| bag.notes().iter().cloned()).collect(),
             agents: states.into_iter().map(|state| state.summary).collect(),
             clocks: clocks.words.clone(),

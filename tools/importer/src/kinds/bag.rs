@@ -11,10 +11,10 @@ pub struct RosBag;
 
 static KIND: Kind = Kind {
     name: "bag",
-    title: "Bags of ROS 1 and ROS 2, and MCAP files of others",
-    needs: "clouds (sensor_msgs/PointCloud2) and poses: Odometry, PoseStamped, TF, or NavSatFix and Imu",
+    title: "Bags of ROS 1 and ROS 2, MCAP files of others, captures of packets",
+    needs: "clouds (sensor_msgs/PointCloud2, or packets of Ouster and RoboSense) and poses: Odometry, PoseStamped, TF, or NavSatFix and Imu",
     unit: "messages",
-    paths: Some("Bags (`.bag`, folders of ROS 2, `.db3`, `.mcap`) that become one log, as of one agent each"),
+    paths: Some("Bags (`.bag`, folders of ROS 2, `.db3`, `.mcap`, `.pcap`) that become one log, as of one agent each"),
     options: &[("map", ""), ("agents", "")],
 };
 

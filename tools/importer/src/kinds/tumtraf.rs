@@ -300,8 +300,8 @@ fn points(cloud: &Path, options: &Options) -> Result<Points, ImportError> {
     let mut points = read_points(cloud)?;
     if let Some(t) = points.t.take() {
         let last = t.iter().copied().fold(0.0, f64::max);
-        if last >= 1e9 {
-            let reason = format!("field `t`: expected ns from the start of the sweep, less than 10⁹, found {last}");
+        if let Some(other) = t.iter().find(|t| !(0.0..1e9).contains(*t)) {
+            let reason = format!("field `t`: expected ns from the start of the sweep, 0 to 10⁹, found {other}");
             return Err(ImportError::content(cloud, reason));
         }
         let begin = match options.stamp {

@@ -5,6 +5,7 @@ mod containers;
 mod fields;
 mod fuzz;
 mod joined;
+mod motion;
 mod poses;
 mod real_files;
 mod wire;

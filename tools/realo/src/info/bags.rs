@@ -5,7 +5,7 @@ use std::io::Write;
 use std::path::{Path, PathBuf};
 
 use eyre::{Report, Result, WrapErr, eyre};
-use realo_bags::{Draft, Survey, open, survey};
+use realo_bags::{Draft, Survey, decoded, open, survey};
 
 /// Prints what bags hold, and a draft of the map file by which they become a log; says whether something of them is missing.
 pub fn describe(paths: &[&PathBuf], json: bool, map: Option<&Path>) -> Result<bool> {
@@ -36,7 +36,7 @@ pub fn describe(paths: &[&PathBuf], json: bool, map: Option<&Path>) -> Result<bo
 }
 
 fn read(path: &Path) -> Result<Survey> {
-    Ok(survey(open(path)?.as_ref())?)
+    Ok(survey(decoded(open(path)?)?.as_ref())?)
 }
 
 /// Of a bag that cannot be read: beside the reason what its folder says of it.

@@ -63,7 +63,7 @@ impl TimeTable {
                     crate::shown(&cells[0])
                 ))
             })?;
-            let ms = u64::try_from((frame + 500_000) / 1_000_000).unwrap_or_default();
+            let ms = u64::try_from(frame.saturating_add(500_000) / 1_000_000).unwrap_or_default();
             for (sensor, cell) in head.iter().zip(&cells).skip(1).filter(|(_, cell)| !cell.is_empty()) {
                 let time = nanos(cell).ok_or_else(|| {
                     wrong(format!(
