@@ -131,7 +131,7 @@ fn calls_that_are_measured_take_time_and_leave_a_profile_that_repeats() {
     let _alone = alone();
     let graph = shipped("late_fusion");
     let measured = run(
-        "measured_virtual",
+        "plugin_measured_virtual",
         &graph,
         &["--mode", "virtual", "--compute", "measured"],
     );
@@ -144,13 +144,13 @@ fn calls_that_are_measured_take_time_and_leave_a_profile_that_repeats() {
         "{found}"
     );
     let profile = profile.to_string_lossy();
-    let again = ["measured_again", "measured_once_more"].map(|out| {
+    let again = ["plugin_measured_again", "plugin_measured_once_more"].map(|out| {
         let out = run(out, &graph, &["--mode", "virtual", "--compute", &profile]);
         fs::read(out.join("result.json")).expect("there is a result")
     });
     assert!(again[0] == again[1], "its times are the same on every run");
 
-    let out = folder("measured_sweep").to_string_lossy().into_owned();
+    let out = folder("plugin_measured_sweep").to_string_lossy().into_owned();
     let sweep = ["sweep", "late_fusion", "--vary", "compute=measured,paper", "-o", &out];
     let refused = realo(sweep);
     let said = text(&refused.stderr);

@@ -6,7 +6,6 @@ realo. Rows run along y, columns along x; metres; boxes are x, y, z, length, wid
 """
 
 import math
-import pickle
 import sys
 from pathlib import Path
 
@@ -232,9 +231,10 @@ def state_of(path):
     try:
         # `weights_only`: what is in the file is read, never run.
         state = torch.load(path, map_location="cpu", weights_only=True)
-    except (pickle.UnpicklingError, RuntimeError, EOFError) as error:
+    except Exception as error:  # noqa: BLE001: a file that is no checkpoint fails in any way
         expected = "expected the state dict of a network, as torch.save(model.state_dict(), FILE) writes it"
-        raise ValueError(f"{path}: {expected}: {str(error).splitlines()[0]}") from None
+        said = str(error).splitlines() or [type(error).__name__]
+        raise ValueError(f"{path}: {expected}: {said[0]}") from None
     return state.get("state_dict", state)
 
 

@@ -131,7 +131,15 @@ fn torch_plugins_find_what_the_shipped_network_finds() {
     let found = proposals(&bin, "torch_beside", &script("torch_attfuse.yml"), &[]);
     let expected = proposals(&bin, "torch_shipped", &shipped("attfuse"), &["--precision", "f32"]);
     assert_near(&compared(&bin, &found, &expected));
-    let links = |boxes: &Path| json(&boxes.with_file_name("result.json"))["links"].clone();
+    // Maps that differ in their last digits compress to other lengths.
+    let links = |boxes: &Path| {
+        let mut links = json(&boxes.with_file_name("result.json"))["links"].take();
+        for link in links.as_object_mut().expect("links by name").values_mut() {
+            let features = link.get_mut("features").and_then(Value::as_object_mut);
+            features.map(|features| features.remove("bytes"));
+        }
+        links
+    };
     assert_eq!(links(&found), links(&expected));
 }
 

@@ -192,7 +192,7 @@ impl Operator for Fusion {
             return Ok(());
         };
         let maps = set.maps()?;
-        let [rows, columns, channels] = maps.size;
+        let [rows, columns, _] = maps.size;
         let inputs = maps::placed(&maps, self.agents.unwrap_or(1 + maps.others.len()));
         let [fused] = self.network.run(inputs.into(), [FEATURES.name])?;
         let (size, planes) = self.network.plain(&FEATURES, fused)?;
@@ -205,7 +205,6 @@ impl Operator for Fusion {
             channels: size[0] as u32,
             ..set.ego.clone()
         };
-        debug_assert!(channels > 0);
         let fused = fused.with_numbers(maps::cells(&planes, size));
         set.send(Fused::Features, fused, out);
         Ok(())

@@ -191,7 +191,7 @@ fn stage(word: &str, name: &str) -> &'static Registration {
 
 type Sent = Vec<(String, String, u64, Nanos)>;
 
-fn profile(nanos: BTreeMap<String, Nanos>) -> ComputeProfile {
+fn profile(nanos: std::collections::BTreeMap<String, Nanos>) -> ComputeProfile {
     ComputeProfile {
         nanos,
         ..ComputeProfile::default()
