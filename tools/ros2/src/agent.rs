@@ -305,12 +305,12 @@ mod tests {
 
     #[test]
     fn an_attitude_holds_for_a_second_at_most() {
-        let mut agent = agent("/pose");
+        let mut car = agent("/pose");
         let frames = Frames::default();
-        assert_eq!(agent.frame_at(&frames, SECOND), Err(Lack::Pose));
-        agent.pose(&frames, said(SECOND, "map", at(3.0, 0.1))).unwrap();
-        assert_eq!(agent.frame_at(&frames, 2 * SECOND), Ok(at(3.0, 0.1)));
-        assert_eq!(agent.frame_at(&frames, 2 * SECOND + 1), Err(Lack::Pose));
+        assert_eq!(car.frame_at(&frames, SECOND), Err(Lack::Pose));
+        car.pose(&frames, said(SECOND, "map", at(3.0, 0.1))).unwrap();
+        assert_eq!(car.frame_at(&frames, 2 * SECOND), Ok(at(3.0, 0.1)));
+        assert_eq!(car.frame_at(&frames, 2 * SECOND + 1), Err(Lack::Pose));
         assert_eq!(
             agent("[1, 2, 0, 0.5]")
                 .frame_at(&frames, 0)

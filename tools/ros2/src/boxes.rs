@@ -131,9 +131,10 @@ impl Operator for Boxes {
     fn on_input(&mut self, Input::Boxes(header, List(boxes)): Input, out: &mut Outputs<NoOutput>) -> Result<(), Error> {
         self.join()?;
         let (frame, boxes) = self.placed(&header, boxes)?;
-        let Some((_, writers)) = &self.running else {
+        let Some((ros, writers)) = &mut self.running else {
             return Ok(());
         };
+        ros.announce()?;
         for (form, writer) in writers {
             let mut payload = Vec::new();
             match (form, &header.pose) {

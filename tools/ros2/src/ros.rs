@@ -2,6 +2,7 @@
 
 use std::net::{IpAddr, Ipv4Addr};
 use std::sync::mpsc::{Sender, channel};
+use std::time::Instant;
 
 use futures::StreamExt;
 use futures::executor::block_on;
@@ -116,6 +117,15 @@ pub struct Found {
     pub is_reliable: bool,
 }
 
+/// Bytes of a participant's number in announcements of nodes: until Humble, and later.
+const GID_BYTES: [usize; 2] = [24, 16];
+/// What publishers say of their types since Iron.
+const TYPE_HASH: &[u8] = b"typehash=";
+/// A topic that every node of ROS publishes.
+const LOG_TOPIC: &str = "rt/rosout";
+/// Between two looks at what others are.
+const LOOK: std::time::Duration = std::time::Duration::from_secs(1);
+
 /// A node of ROS.
 pub struct Ros {
     participant: DomainParticipant,
@@ -125,6 +135,9 @@ pub struct Ros {
     nodes: no_key::DataWriter<Vec<u8>, Raw>,
     readers: Vec<[u8; 16]>,
     writers: Vec<[u8; 16]>,
+    /// The form of the announcement that holds, by the bytes of a number.
+    announced: Option<usize>,
+    looked: Option<Instant>,
 }
 
 /// Publishes payloads on a topic.
@@ -164,7 +177,7 @@ impl Ros {
             latched: true,
         };
         let nodes = writer(&participant, &publisher, NODES.0, NODES.1, latched)?;
-        let ros = Ros {
+        Ok(Ros {
             participant,
             publisher,
             subscriber,
@@ -172,9 +185,9 @@ impl Ros {
             nodes,
             readers: Vec::new(),
             writers: Vec::new(),
-        };
-        ros.announce()?;
-        Ok(ros)
+            announced: None,
+            looked: None,
+        })
     }
 
     /// Reads a topic into a queue from now on, on a thread of its own.
@@ -204,7 +217,8 @@ impl Ros {
             what: format!("topic `{topic}`"),
             reason,
         })?);
-        self.announce()
+        self.announced = None;
+        Ok(())
     }
 
     /// Publishes a topic.
@@ -215,7 +229,7 @@ impl Ros {
         let name = names::dds_topic(topic);
         let writer = writer(&self.participant, &self.publisher, &name, kind, quality)?;
         self.writers.push(rustdds::RTPSEntity::guid(&writer).to_bytes());
-        self.announce()?;
+        self.announced = None;
         Ok(Writer(writer))
     }
 
@@ -237,18 +251,45 @@ impl Ros {
         found
     }
 
-    /// Says which node this is and what it reads and publishes, as `ros2 node list` and `ros2 topic info` show it.
-    fn announce(&self) -> Result<(), RosError> {
+    /// Says which node this is and what it reads and publishes, as `ros2 node list` and `ros2 topic info` show it; is called again and
+    /// again. Nothing is said before a node of ROS is known, because distributions differ in the form.
+    ///
+    /// # Errors
+    /// What DDS does not take.
+    pub fn announce(&mut self) -> Result<(), RosError> {
+        if self.looked.is_some_and(|looked| looked.elapsed() < LOOK) {
+            return Ok(());
+        }
+        self.looked = Some(Instant::now());
+        let (mut has_hash, mut is_ros) = (false, false);
+        for writer in self.participant.discovered_writers() {
+            has_hash |= writer.user_data.windows(TYPE_HASH.len()).any(|part| part == TYPE_HASH);
+            is_ros |= writer.publication_topic_data.topic_name == LOG_TOPIC;
+        }
+        let form = (has_hash || is_ros).then(|| GID_BYTES[usize::from(has_hash)]);
+        match form.filter(|form| self.announced != Some(*form)) {
+            Some(form) => {
+                self.announced = Some(form);
+                self.publish_announcement(form)
+            }
+            None => Ok(()),
+        }
+    }
+
+    fn publish_announcement(&self, gid_bytes: usize) -> Result<(), RosError> {
         let mut payload = Vec::new();
         let mut out = CdrWriter::new(&mut payload);
-        let mut put = |guid: &[u8; 16]| guid.iter().for_each(|byte| out.u8(*byte));
-        put(&rustdds::RTPSEntity::guid(&self.participant).to_bytes());
+        let put = |out: &mut CdrWriter, guid: &[u8; 16]| {
+            guid.iter().for_each(|byte| out.u8(*byte));
+            (guid.len()..gid_bytes).for_each(|_| out.u8(0));
+        };
+        put(&mut out, &rustdds::RTPSEntity::guid(&self.participant).to_bytes());
         out.length(1);
         out.string("/");
         out.string(&self.node);
         for guids in [&self.readers, &self.writers] {
             out.length(guids.len());
-            guids.iter().flatten().for_each(|byte| out.u8(*byte));
+            guids.iter().for_each(|guid| put(&mut out, guid));
         }
         let written = self.nodes.write(payload, Some(Timestamp::now()));
         written.map_err(|error| RosError {

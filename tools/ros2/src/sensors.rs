@@ -164,6 +164,9 @@ impl Operator for Sensors {
         if self.ros.is_none() {
             self.join()?;
         }
+        if let Some(ros) = &mut self.ros {
+            ros.announce()?;
+        }
         self.look_for_types()?;
         for heard in self.queue.take(PATIENCE) {
             self.hear(heard, out);

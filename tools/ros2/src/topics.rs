@@ -1,11 +1,14 @@
 //! `realo-ros2 topics`: what is published.
 
-use std::time::Duration;
+use std::time::{Duration, Instant};
 
 use realo_operator::{Settings, config};
 use serde::{Deserialize, Serialize};
 
 use crate::ros::{self, Ros};
+
+/// Between two looks.
+const LOOK: Duration = Duration::from_millis(100);
 
 /// Settings of the command.
 #[derive(Clone, Debug, PartialEq, Settings, Serialize, Deserialize)]
@@ -26,8 +29,12 @@ pub struct Settings {
 pub fn main(args: &[String]) -> Result<(), String> {
     let settings: Settings = config::parse(args).map_err(|error| error.to_string())?;
     let domain = ros::domain(settings.domain)?;
-    let ros = Ros::join(domain, settings.localhost, "realo_topics").map_err(|error| error.to_string())?;
-    std::thread::sleep(Duration::from_secs_f64(settings.seconds));
+    let mut ros = Ros::join(domain, settings.localhost, "realo_topics").map_err(|error| error.to_string())?;
+    let began = Instant::now();
+    while began.elapsed().as_secs_f64() < settings.seconds {
+        std::thread::sleep(LOOK);
+        ros.announce().map_err(|error| error.to_string())?;
+    }
     let found = ros.found();
     for publisher in &found {
         let delivery = if publisher.is_reliable {

@@ -11,7 +11,7 @@ python3 -m venv target/ros2-venv
 # shellcheck disable=SC2086
 if target/ros2-venv/bin/python -m pip install --quiet --disable-pip-version-check $packages &&
    target/ros2-venv/bin/python -m pip install --quiet --disable-pip-version-check --no-deps 'dora-rs-cli==1.1.0'; then
-  [ -e target/realo/demo.mcap ] || target/release/realo run no_fusion --mode virtual --out target/realo/ros2-demo >/dev/null
+  [ -e target/realo/demo.mcap ] || target/release/realo run no_fusion --recorded-detections --mode virtual --out target/realo/ros2-demo >/dev/null
   target/ros2-venv/bin/python -B tools/ros2/tests/test_live.py
 else
   echo 'SKIPPED: realo-ros2 was built and not tested beside ROS 2: pip cannot install rclpy, Cyclone DDS or dora here' >&2
