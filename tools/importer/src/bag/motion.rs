@@ -9,7 +9,6 @@ use super::Counted;
 use super::agents::{Agent, Topic};
 use super::clocks::AgentClock;
 use super::small::{At, Motion};
-use super::sweeps::mount;
 
 /// What is still to be written of an agent's motion sensors, each in the order of its log times.
 pub struct MotionQueue {
@@ -39,7 +38,7 @@ impl MotionQueue {
         let mut place = |first: Option<(String, Nanos)>, topic: Option<&Topic>| {
             let (frame, stamp) = first?;
             let vehicle_from_frame = Isometry3::from(Translation3::new(0.0, 0.0, height));
-            match mount(agent, frames, &frame, stamp) {
+            match agent.map.mount(frames, &frame, stamp) {
                 Ok(frame_from_sensor) => Some(vehicle_from_frame * frame_from_sensor),
                 Err(reason) => {
                     let name = topic.map_or("", |topic| topic.name.as_str());
