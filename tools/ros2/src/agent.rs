@@ -185,35 +185,31 @@ impl Agent {
         Ok(self.place(stamp, &world_from_frame, said.covariance))
     }
 
-    /// Takes note of transforms, and gives the poses that are known by them.
-    ///
-    /// # Errors
-    /// Why nothing leads to the world, where that was so for a second.
-    pub fn transforms(&mut self, frames: &Frames, changed: &[(&str, Nanos)]) -> Result<Vec<Placed>, String> {
+    /// Takes note of transforms, and gives the poses that are known by them; and how many were given up, with the reason of the last:
+    /// nothing led to the world for a second, or too many wait.
+    pub fn transforms(&mut self, frames: &Frames, changed: &[(&str, Nanos)]) -> (Vec<Placed>, Option<(u64, String)>) {
         if self.map.pose != PoseSource::Tf {
-            return Ok(Vec::new());
+            return (Vec::new(), None);
         }
         let Some(lowest) = self
             .moving_edges(frames)
             .and_then(|moving| moving.first().map(|frame| frame.to_string()))
         else {
-            return Ok(Vec::new());
+            return (Vec::new(), None);
         };
         let new = changed.iter().filter(|(child, _)| bare(child) == lowest.as_str());
         self.pending.extend(new.map(|(_, stamp)| *stamp));
-        let (mut placed, mut reason, mut given_up) = (Vec::new(), String::new(), false);
+        let (mut placed, mut given_up) = (Vec::new(), None);
         let newest = self.pending.iter().copied().max().unwrap_or(0);
-        for stamp in std::mem::take(&mut self.pending) {
+        let room = self.pending.len().saturating_sub(WAITING);
+        for (number, stamp) in std::mem::take(&mut self.pending).into_iter().enumerate() {
             match way(frames, &self.world, &self.map.frame, stamp) {
                 Ok(pose) => placed.extend(self.place(stamp, &pose, None)),
-                Err(_) if newest - stamp < NEAR && self.pending.len() < WAITING => self.pending.push_back(stamp),
-                Err(error) => (reason, given_up) = (error, true),
+                Err(_) if newest - stamp < NEAR && number >= room => self.pending.push_back(stamp),
+                Err(error) => given_up = Some((given_up.map_or(1, |(count, _)| count + 1), error)),
             }
         }
-        match given_up && placed.is_empty() {
-            true => Err(reason),
-            false => Ok(placed),
-        }
+        (placed, given_up)
     }
 
     fn place(
@@ -329,27 +325,31 @@ mod tests {
         };
         assert_eq!(
             tell(&mut frames, "odom", "base_link", SECOND, 1.0),
-            Ok(vec![]),
+            (vec![], None),
             "odom is nowhere yet"
         );
         assert_eq!(
             tell(&mut frames, "map", "odom", SECOND, 10.0),
-            Ok(vec![]),
+            (vec![], None),
             "it moves with its lowest frame"
         );
-        let found = tell(&mut frames, "odom", "base_link", SECOND + 20 * MS, 1.2).unwrap();
+        let found = tell(&mut frames, "odom", "base_link", SECOND + 20 * MS, 1.2);
         assert!(
-            found.is_empty(),
+            found == (vec![], None),
             "one transform of odom says nothing of later: {found:?}"
         );
-        let found = tell(&mut frames, "map", "odom", SECOND + 100 * MS, 10.0).unwrap();
+        let (found, _) = tell(&mut frames, "map", "odom", SECOND + 100 * MS, 10.0);
         let stamps: Vec<Nanos> = found.iter().map(|(stamp, _)| *stamp).collect();
         assert_eq!(stamps, [SECOND + 20 * MS]);
         assert!((found[0].1.map_from_body.translation.x - 11.2).abs() < 1e-9);
-        let error = tell(&mut frames, "odom", "base_link", 5 * SECOND, 1.2).unwrap();
-        assert!(error.is_empty());
-        let error = tell(&mut frames, "odom", "base_link", 7 * SECOND, 1.2).unwrap_err();
-        assert!(error.contains("transforms of `odom`"), "{error}");
+        assert_eq!(tell(&mut frames, "odom", "base_link", 5 * SECOND, 1.2), (vec![], None));
+        let (_, given_up) = tell(&mut frames, "odom", "base_link", 7 * SECOND, 1.2);
+        let (count, reason) = given_up.unwrap();
+        assert!(count == 1 && reason.contains("transforms of `odom`"), "{reason}");
+        // Of too many that wait the oldest are given up.
+        let mut of_200_hz = |n: Nanos| tell(&mut frames, "odom", "base_link", 8 * SECOND + 5 * n * MS, 1.2).1;
+        let given_up: u64 = (0..WAITING as Nanos + 10).filter_map(|n| Some(of_200_hz(n)?.0)).sum();
+        assert_eq!(given_up, 11, "that of 7 s, and ten of the others");
     }
 
     #[test]

@@ -67,7 +67,10 @@ impl Queue {
         let State { waiting, topics } = &mut *state;
         let topic = &mut topics[heard.topic];
         let before = topic.numbers.get(&writer).copied();
-        topic.traffic.lost += before.map_or(0, |before| u64::try_from(number - before - 1).unwrap_or(0));
+        // Numbers come from outside: any two of them.
+        let gap = before.and_then(|before| number.checked_sub(before)?.checked_sub(1));
+        let lost = gap.and_then(|gap| u64::try_from(gap).ok()).unwrap_or(0);
+        topic.traffic.lost = topic.traffic.lost.saturating_add(lost);
         topic.numbers.insert(writer, number.max(before.unwrap_or(number)));
         topic.traffic.received += 1;
         topic.traffic.newest = Some(heard.at);
@@ -122,6 +125,17 @@ mod tests {
             payload: Vec::new(),
             at,
         }
+    }
+
+    #[test]
+    fn numbers_that_no_writer_counts_to_lose_nothing() {
+        let queue = Queue::default();
+        let topic = queue.open(100);
+        for number in [i64::MIN, 5, i64::MAX, i64::MIN, -1] {
+            queue.put(heard(topic, 0), [1; 16], number);
+        }
+        let traffic = queue.traffic(topic);
+        assert_eq!((traffic.received, traffic.lost), (5, i64::MAX as u64 - 6));
     }
 
     #[test]

@@ -86,6 +86,8 @@ pub struct Sensors {
     run: Name,
     domain: u16,
     clock: StampClock,
+    /// What is added to the stamps of transforms, ns.
+    offset: Nanos,
     agents: Vec<Agent>,
     frames: Frames,
     queue: Queue,
@@ -139,7 +141,9 @@ impl Operator for Sensors {
                 names::topic(topic).map_err(|reason| place(format!("agents.{}: pose: {reason}", agent.name)))?;
             }
         }
+        let offset = offset_of_transforms(&agents).map_err(place)?;
         Ok(Sensors {
+            offset,
             run: settings.run.as_str().into(),
             domain,
             clock: map.clock,
@@ -400,9 +404,8 @@ impl Sensors {
             Lack::Content(words) => lost(&UNREADABLE, words),
             Lack::Pose => lost(&NO_POSE, "no pose".into()),
         })?;
-        if let Some(placed) = placed {
-            self.send_pose(index, placed, at, out);
-        }
+        let placed = placed.ok_or_else(|| lost(&STAMPS_BACK, "a pose is not later than the one before".into()))?;
+        self.send_pose(index, placed, at, out);
         Ok(())
     }
 
@@ -417,33 +420,41 @@ impl Sensors {
         let read = CdrReader::any_cdr(payload).and_then(|mut input| messages::transforms(&mut input));
         let (transforms, wrong) = read.map_err(|words| lost(&UNREADABLE, words))?;
         let mut changed = Vec::new();
+        let mut left_out = (wrong > 0).then(|| lost(&UNREADABLE, format!("{wrong} transforms are not poses")));
         for transform in &transforms {
-            let stamp = match is_static {
-                true => transform.stamp,
-                false => stamp(self.clock, transform.stamp, 0, at)
-                    .map_err(|(counter, words)| lost(counter, format!("frame `{}`: {words}", transform.child)))?,
-            };
             let (parent, child) = (&transform.parent, &transform.child);
-            self.frames
-                .insert(is_static, stamp, parent, child, transform.parent_from_child);
-            changed.push((child.as_str(), stamp));
-        }
-        self.frames.forget(at - TRANSFORMS);
-        let mut reason = None;
-        for index in 0..self.agents.len() {
-            let agent = &mut self.agents[index];
-            match agent.transforms(&self.frames, &changed) {
-                Ok(placed) => placed
-                    .into_iter()
-                    .for_each(|placed| self.send_pose(index, placed, at, out)),
-                Err(words) => reason = Some((&NO_WAY, agent.name.to_string(), words)),
+            let stamp = match is_static {
+                true => Ok(transform.stamp),
+                false => stamp(self.clock, transform.stamp, self.offset, at)
+                    .map_err(|(counter, words)| lost(counter, format!("frame `{child}`: {words}"))),
+            };
+            let taken = stamp.and_then(|stamp| {
+                let pose = transform.parent_from_child;
+                match self.frames.insert(is_static, stamp, parent, child, pose) {
+                    true => Ok(stamp),
+                    false => Err(lost(&UNREADABLE, format!("frame `{child}` is one too many"))),
+                }
+            });
+            match taken {
+                Ok(stamp) => changed.push((child.as_str(), stamp)),
+                Err(reason) => left_out = left_out.or(Some(reason)),
             }
         }
-        match (wrong, reason) {
-            (0, None) => Ok(()),
-            (0, Some(reason)) => Err(reason),
-            (wrong, _) => Err(lost(&UNREADABLE, format!("{wrong} transforms are not poses"))),
+        self.frames.forget(at - TRANSFORMS);
+        for index in 0..self.agents.len() {
+            let agent = &mut self.agents[index];
+            let (placed, given_up) = agent.transforms(&self.frames, &changed);
+            if let Some((count, words)) = given_up {
+                let name = agent.name.clone();
+                // One is counted with its reason.
+                out.count(&NO_WAY, &name, count - 1);
+                left_out = left_out.or(Some((&NO_WAY, name.to_string(), words)));
+            }
+            placed
+                .into_iter()
+                .for_each(|placed| self.send_pose(index, placed, at, out));
         }
+        left_out.map_or(Ok(()), Err)
     }
 
     fn send_pose(&mut self, index: usize, (stamp, state): Placed, at: Nanos, out: &mut Outputs<Output>) {
@@ -515,6 +526,23 @@ fn open(
         delays: Durations::default(),
     });
     Ok(ros.read(name, kind, quality, (queue.clone(), number))?)
+}
+
+/// What is added to the stamps of transforms, ns: the offset of the agents that they place.
+///
+/// # Errors
+/// Agents with different offsets, since nobody knows whose clock a transform has.
+fn offset_of_transforms(agents: &[Agent]) -> Result<Nanos, String> {
+    let mut placed = agents.iter().filter(|agent| agent.map.pose == PoseSource::Tf);
+    let Some(first) = placed.next() else { return Ok(0) };
+    match placed.find(|other| other.offset() != first.offset()) {
+        None => Ok(first.offset()),
+        Some(other) => Err(format!(
+            "agents.{}: offset: expected that of `{}`, since both have `pose: tf` and a transform is of one clock, found another; give one of \
+             them a topic of poses",
+            other.name, first.name
+        )),
+    }
 }
 
 /// The stamp that counts of a message that came `at`, moved by an offset.

@@ -6,8 +6,10 @@ use std::time::Duration;
 
 /// Messages that are kept.
 const MOST: usize = 2048;
-/// Bytes of all that is kept.
+/// Bytes of these.
 const MOST_BYTES: usize = 32 << 20;
+/// Bytes of the newest messages, which who comes late gets.
+const MOST_NEWEST_BYTES: usize = 64 << 20;
 /// Channels of a run.
 const MOST_CHANNELS: usize = 1024;
 
@@ -56,6 +58,8 @@ struct State {
     bytes: usize,
     /// The newest message of each channel and agent, and its number.
     newest: BTreeMap<(u32, Arc<str>), (u64, Message)>,
+    /// Bytes of these.
+    newest_bytes: usize,
     closed: bool,
 }
 
@@ -99,6 +103,7 @@ impl Feed {
         };
         state.channels.clear();
         state.newest.clear();
+        state.newest_bytes = 0;
         state.first += state.kept.len() as u64;
         state.kept.clear();
         state.bytes = 0;
@@ -131,10 +136,7 @@ impl Feed {
         }
         let message = Message { channel, time, payload };
         let number = state.first + state.kept.len() as u64;
-        let key = (channel, Arc::from(agent));
-        if state.newest.len() < MOST_CHANNELS || state.newest.contains_key(&key) {
-            state.newest.insert(key, (number, message.clone()));
-        }
+        state.keep_newest((channel, Arc::from(agent)), number, &message);
         state.bytes += message.payload.len();
         state.kept.push_back(message);
         while state.kept.len() > MOST || state.bytes > MOST_BYTES {
@@ -188,6 +190,18 @@ impl Feed {
 }
 
 impl State {
+    /// Keeps a message for who comes late, in the place of the one before; none where there is no room.
+    fn keep_newest(&mut self, key: (u32, Arc<str>), number: u64, message: &Message) {
+        if let Some((_, before)) = self.newest.remove(&key) {
+            self.newest_bytes -= before.payload.len();
+        }
+        let bytes = self.newest_bytes + message.payload.len();
+        if self.newest.len() < MOST_CHANNELS && bytes <= MOST_NEWEST_BYTES {
+            self.newest_bytes = bytes;
+            self.newest.insert(key, (number, message.clone()));
+        }
+    }
+
     fn has(&self, channel: u32) -> bool {
         // They are numbered one after the other.
         let first = self.channels.first().map(|channel| channel.id);
@@ -230,6 +244,19 @@ mod tests {
     use super::*;
 
     const NOW: Duration = Duration::ZERO;
+
+    #[test]
+    fn what_is_kept_for_who_comes_late_is_bounded() {
+        let feed = Feed::default();
+        feed.open("a run");
+        let channel = feed.channel("/points", "a", "b").unwrap();
+        let cloud: Arc<[u8]> = vec![0; MOST_NEWEST_BYTES / 4 + 1].into();
+        for agent in ["a", "b", "c", "d", "e", "a"] {
+            feed.send(channel, agent, 1, cloud.clone());
+        }
+        let state = feed.lock();
+        assert_eq!((state.newest.len(), state.newest_bytes), (3, 3 * cloud.len()));
+    }
 
     #[test]
     fn a_client_hears_of_the_run_its_channels_and_then_what_comes() {
