@@ -395,6 +395,7 @@ mod tests {
     use realo_schemas::Box3;
 
     use super::*;
+    use crate::channels::{put_boxes, put_state, put_truth};
     use crate::recording::Recording;
 
     fn object(x: f64) -> Box3 {
@@ -423,8 +424,8 @@ mod tests {
         for seq in 0..SWEEPS {
             let at = 1_000_000_000 + 100_000_000 * seq as Nanos;
             let header = Header::origin(&"run".into(), &"cav1".into(), Kind::Truth, seq, at, at + 5);
-            recording.truth(&header, &truth(seq)).unwrap();
-            recording.boxes("boxes", &header, &Boxes(vec![object(1.0)])).unwrap();
+            put_truth(&mut recording, &header, &truth(seq)).unwrap();
+            put_boxes(&mut recording, "boxes", &header, &Boxes(vec![object(1.0)])).unwrap();
         }
         recording.finish(&realo_operator::Books::default()).unwrap();
         let mut reader = truth_of(&path).unwrap();
@@ -457,7 +458,7 @@ mod tests {
         let agents: [(Name, f64); 2] = [("cav1".into(), 1.0), ("rsu1".into(), 5.0)];
         for (agent, x) in &agents {
             let header = Header::origin(&"run".into(), agent, Kind::AgentState, 0, 7, 9);
-            recording.state(&header, &state(*x)).unwrap();
+            put_state(&mut recording, &header, &state(*x)).unwrap();
         }
         recording.finish(&realo_operator::Books::default()).unwrap();
         let found: Vec<_> = states_of(&path).unwrap().map(Result::unwrap).collect();

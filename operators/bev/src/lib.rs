@@ -2,12 +2,13 @@
 //! the network: the [`Engine`].
 
 mod computing;
+pub mod counters;
 mod decoder;
 mod engine;
 
 use std::borrow::Cow;
 
-use arrow::buffer::Buffer;
+use arrow_buffer::Buffer;
 use realo_kernels::bev::{BevMap, BevView};
 use realo_methods::Loaded;
 use realo_operator::Error;

@@ -2,6 +2,7 @@
 
 use std::path::PathBuf;
 
+use realo_bev::counters::OVER_LIMIT_BOXES;
 use realo_bev::{Computing, Decoder, Engine, Maps};
 use realo_nn::anchors::Anchors;
 use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings};
@@ -32,10 +33,6 @@ pub struct DetectionHead {
     maps: Maps,
 }
 
-const OVER_LIMIT_BOXES: Counter = Counter::plain(
-    "over_limit_boxes",
-    "detections above the min score, but not among the best 1,000",
-);
 const INVALID_BOXES: Counter = Counter::loss(
     "invalid_boxes",
     "decoded boxes dropped: not finite, without extent or above 100 m, or with a score outside [0, 1]",

@@ -10,6 +10,7 @@
 
 use std::path::PathBuf;
 
+use realo_bev::counters::{EMPTY_SWEEPS, OVER_POINTS, count_empty};
 use realo_bev::{Computing, Engine, Maps};
 use realo_kernels::bev::BevView;
 use realo_methods::Pillarer;
@@ -44,19 +45,8 @@ pub struct PillarEncoder {
     confidence: bool,
 }
 
-const EMPTY_SWEEPS: Counter = Counter::log_fault(
-    "empty_sweeps",
-    "sweeps that have no point in the model's grid, so that nothing can be found in them",
-    "sweeps have no point in the range of the model, so that nothing was found in them",
-    "where the log has detections in place of points, play these (`--recorded-detections`); else points are expected in metres, in \
-     the body frame of their agent (docs/reference/log-format.md)",
-);
 const NAN_POINTS: Counter = Counter::plain("nan_points", "points left out: not finite");
 const OUT_OF_RANGE_POINTS: Counter = Counter::plain("out_of_range_points", "points left out: outside the model's grid");
-const OVER_POINTS: Counter = Counter::plain(
-    "over_points",
-    "points left out: they came after the last that their pillar takes",
-);
 const OVER_PILLARS: Counter = Counter::loss(
     "over_pillars",
     "points left out: of pillars beyond the max number of pillars",
@@ -99,13 +89,7 @@ impl Operator for PillarEncoder {
         let agent = header.agent.clone();
         let unusable = dropped.not_finite + dropped.out_of_range;
         let is_empty = unusable == cloud.len() as u64;
-        out.count_of(&EMPTY_SWEEPS, &agent, u64::from(is_empty), 1);
-        if is_empty {
-            out.found(&EMPTY_SWEEPS, &agent, || match cloud.len() {
-                0 => "the first has no points".into(),
-                all => format!("the first has {all} points, all beyond the range or not finite"),
-            });
-        }
+        count_empty(out, &agent, cloud.len(), is_empty);
         out.count(&NAN_POINTS, &agent, dropped.not_finite);
         out.count(&OUT_OF_RANGE_POINTS, &agent, dropped.out_of_range);
         out.count(&OVER_POINTS, &agent, dropped.over_points);

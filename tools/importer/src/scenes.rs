@@ -16,6 +16,7 @@ mod write;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::sync::Arc;
 
 use nalgebra::Isometry3;
 use realo_logs::AgentKind;
@@ -28,6 +29,7 @@ pub use self::plan::{Work, plan};
 pub use self::residual::{Placed, Residual, residual};
 pub use self::summary::{AgentSummary, SceneSummary};
 use crate::faults::{Faults, FaultsOfSweep};
+use crate::options::BoxPlace;
 use crate::pcd::Points;
 use crate::{ImportError, Options};
 
@@ -39,6 +41,8 @@ pub struct Scene {
     pub agents: Vec<SceneAgent>,
     /// Folders of the agents that are not wanted.
     pub unwanted: Vec<String>,
+    /// What is assumed of this scene alone, a line each.
+    pub assumed: Vec<String>,
 }
 
 /// An agent of a scene.
@@ -68,8 +72,30 @@ pub struct SweepFiles {
     pub since_first: Option<Nanos>,
     /// When it was measured, ns since 1970, where the layout has that.
     pub at: Option<Nanos>,
-    /// Clouds of further LiDARs of the agent, each with its pose in the frame of the first.
-    pub more: Vec<(PathBuf, Isometry3<f64>)>,
+    /// Clouds of further LiDARs of the agent.
+    pub more: Vec<FurtherCloud>,
+    /// Labels of the whole scene, where one file has them.
+    pub shared: Option<Arc<dyn SharedLabels>>,
+}
+
+/// A cloud of a further LiDAR of an agent, for the sweep of its first.
+#[derive(Clone)]
+pub struct FurtherCloud {
+    /// Points.
+    pub cloud: PathBuf,
+    /// Brings points to the frame of the first LiDAR.
+    pub first_from_this: Isometry3<f64>,
+    /// How much later than the first LiDAR's cloud it was measured, ns.
+    pub later: Nanos,
+}
+
+/// Labels of a whole scene, which are read once.
+pub trait SharedLabels: Send + Sync {
+    /// The labels at a time, and how many have no size.
+    ///
+    /// # Errors
+    /// A file that cannot be read, or has another form.
+    fn at(&self, at: Nanos, place: BoxPlace) -> Result<(Vec<Label>, usize), ImportError>;
 }
 
 /// A sweep as its files have it. All frames are right-handed, y to the left.

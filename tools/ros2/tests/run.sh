@@ -5,8 +5,8 @@ set -euo pipefail
 cd "$(dirname "$0")/../../.."
 
 packages="ros-rclpy ros-sensor-msgs ros-geometry-msgs ros-nav-msgs ros-visualization-msgs ros-rmw-fastrtps-cpp cyclonedds mcap zstandard lz4 numpy"
-cargo build --release --manifest-path tools/ros2/Cargo.toml --target-dir target
-cargo test --release --manifest-path tools/ros2/Cargo.toml --target-dir target
+cargo build --release --locked --manifest-path tools/ros2/Cargo.toml --target-dir target
+cargo test --release --locked --manifest-path tools/ros2/Cargo.toml --target-dir target
 python3 -m venv target/ros2-venv
 # shellcheck disable=SC2086
 if target/ros2-venv/bin/python -m pip install --quiet --disable-pip-version-check $packages &&

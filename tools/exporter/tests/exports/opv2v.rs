@@ -2,12 +2,16 @@
 
 use std::fs;
 
+use nalgebra::Point3;
 use realo_logs::{AgentKind, Log, Stream};
 
 use crate::reading::{
     assert_same, assert_same_boxes, assert_same_clouds, assert_same_poses, import, sweeps, try_export,
 };
-use crate::world::{AGENTS, MadeUp, START, SWEEPS, simulated};
+use crate::world::{
+    AGENTS, MOVING_SWEEPS, MadeUp, ON_ITSELF, POINTS, START, SWEEPS, UNSCORED, moving, simulated, standing,
+    write_moving,
+};
 
 const SCENE: &str = "2026_01_01_00_00_00";
 
@@ -168,6 +172,41 @@ fn an_imported_scene_comes_back_whole_by_its_own_labels() {
             assert_same_poses(&before.map_from_body, &after.map_from_body);
             assert_same_clouds(&before.cloud, &after.cloud, agent.sensor_position.unwrap()[2]);
             assert_same_boxes(&before.truth, &after.truth);
+        }
+    }
+}
+
+#[test]
+fn points_of_a_moving_agent_come_back_as_at_the_stamp_with_counts_and_what_is_scored() {
+    let dir = tempfile::tempdir().unwrap();
+    let log = write_moving(dir.path());
+    for (motion, is_removed) in [("removed", true), ("kept", false)] {
+        let out = dir.path().join(motion).join(SCENE);
+        let back = dir.path().join(format!("{motion}.mcap"));
+        let set: &[(&str, &str)] = if is_removed { &[] } else { &[("motion", "kept")] };
+        let exported = try_export("opv2v", &log, &out, set, false).unwrap();
+        assert!(!exported.to_string().contains("as they were measured"), "{exported}");
+        import(&exported, &back);
+        let back = Log::open(&back).unwrap();
+        let read = sweeps(&back, &back.info().agents[0].name);
+        assert_eq!(read.len(), MOVING_SWEEPS);
+        for (number, sweep) in read.iter().enumerate() {
+            let cloud = &sweep.cloud;
+            for (index, (place, time)) in standing().iter().enumerate() {
+                let seen_at = sweep.stamp + if is_removed { 0 } else { i64::from(*time) };
+                let expected = moving(seen_at).inverse() * place;
+                let found = Point3::new(cloud.x[index], cloud.y[index], cloud.z[index]).cast::<f64>();
+                let off = (found - expected).norm();
+                assert!(
+                    off < 1e-3,
+                    "--motion {motion}, sweep {number}, point {index}: {off} m off"
+                );
+            }
+            // What moves with the agent is where it was on it.
+            assert_same(f64::from(ON_ITSELF[0]), f64::from(cloud.x[4]), "own point");
+            assert_same(f64::from(ON_ITSELF[1]), f64::from(cloud.y[4]), "own point");
+            assert_eq!(sweep.is_scored, number != UNSCORED, "sweep {number}");
+            assert_eq!(sweep.points.as_deref(), Some(&POINTS[..]), "sweep {number}");
         }
     }
 }

@@ -45,6 +45,9 @@ pub struct Read {
     pub map_from_body: Isometry3<f64>,
     pub cloud: PointCloud,
     pub truth: Vec<Box3>,
+    /// Points on each box.
+    pub points: Option<Vec<u32>>,
+    pub is_scored: bool,
 }
 
 /// The sweeps of an agent of a log, with its true poses where there are some.
@@ -67,12 +70,15 @@ pub fn sweeps(log: &Log, agent: &str) -> Vec<Read> {
                 map_from_body: track.at(entry.stamp()).unwrap(),
                 cloud: entry.cloud().unwrap(),
                 truth: Vec::new(),
+                points: None,
+                is_scored: true,
             }),
             Stream::GroundTruth => boxes = entry.boxes().unwrap(),
             _ => {
-                entry.info(&mut boxes).unwrap();
+                let info = entry.info(&mut boxes).unwrap();
                 let of = found.iter_mut().find(|read| read.stamp == entry.stamp()).unwrap();
                 of.truth = std::mem::take(&mut boxes).0;
+                (of.points, of.is_scored) = (info.points, info.key);
             }
         }
     }

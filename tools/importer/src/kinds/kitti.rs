@@ -122,6 +122,7 @@ impl Layout for KittiLayout {
             name: name.unwrap_or_else(|| "kitti".into()),
             agents: vec![agent],
             unwanted: Vec::new(),
+            assumed: Vec::new(),
         }];
         Ok(Found {
             scenes,

@@ -148,6 +148,7 @@ impl Layout for NumpyLayout {
                 name: scene_name(dir, &folder),
                 agents: agents_of(agents)?,
                 unwanted: Vec::new(),
+                assumed: Vec::new(),
             })
         };
         Ok(Found {

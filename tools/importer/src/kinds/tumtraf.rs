@@ -286,6 +286,7 @@ fn scene(
         name,
         agents,
         unwanted: Vec::new(),
+        assumed: Vec::new(),
     }
 }
 
@@ -299,11 +300,12 @@ fn nearest(clouds: &BTreeMap<Nanos, PathBuf>, stamp: Nanos) -> Option<(Nanos, &P
 fn points(cloud: &Path, options: &Options) -> Result<Points, ImportError> {
     let mut points = read_points(cloud)?;
     if let Some(t) = points.t.take() {
-        let last = t.iter().copied().fold(0.0, f64::max);
         if let Some(other) = t.iter().find(|t| !(0.0..1e9).contains(*t)) {
-            let reason = format!("field `t`: expected ns from the start of the sweep, 0 to 10⁹, found {other}");
+            let reason =
+                format!("field `t`: expected ns from the start of the sweep, from 0 to less than 10⁹, found {other}");
             return Err(ImportError::content(cloud, reason));
         }
+        let last = t.iter().copied().fold(0.0, f64::max);
         let begin = match options.stamp {
             SweepStamp::Start => 0.0,
             SweepStamp::End => last,

@@ -259,6 +259,7 @@ mod tests {
             name: name.into(),
             agents: Vec::new(),
             unwanted: Vec::new(),
+            assumed: Vec::new(),
         };
         let scenes = ["a/b", "a-b", "A-B", "a-b_2", "场景", "地点"].map(scene);
         let names = file_names(&scenes);

@@ -111,6 +111,7 @@ impl<'a> SceneImport<'a> {
         let mut assumed = self.layout.assumed(self.options);
         assumed.insert(0, self.clock.words(self.options));
         assumed.push(format!("frames levelled by: {} (--level)", self.options.level));
+        assumed.extend(self.scene.assumed.iter().cloned());
         let agent = |(agent, known): (&SceneAgent, &Known)| AgentSummary {
             folder: agent.folder.clone(),
             name: agent.name.clone(),

@@ -25,7 +25,7 @@ const LATER: i64 = 31_000_000;
 /// The vehicle and the roadside unit, each with its number in the world.
 const LIDARS: [(&str, Agent, usize); 2] = [(VEHICLE, AGENTS[0], 0), (SOUTH, AGENTS[2], 2)];
 
-/// How the files say how sensors lie to each other.
+/// How the files give the transforms between sensors.
 #[derive(Clone, Copy, PartialEq)]
 enum Said {
     Transforms,
@@ -390,4 +390,66 @@ fn labels_after_a_gap_are_another_scene() {
         .map(|scene| (scene.scene.as_str(), scene.agents.len()))
         .collect();
     assert_eq!(names, [("train/1", 2), ("train/2", 1)]);
+}
+
+#[test]
+fn matrices_off_the_way_are_not_read() {
+    let made = Made::new(Said::Systems { from_parent: false }, false);
+    let off_the_way = [
+        (
+            "S110_CAMERA_8",
+            json!({"parent": "s110_base", "pose_wrt_parent": {"matrix4x4": [1, 2, 3]}}),
+        ),
+        (
+            "s110_radar",
+            json!({"parent": "s110_base", "pose_wrt_parent": {"matrix4x4": [[2, 0], [0, 2]]}}),
+        ),
+        (
+            "s110_imu",
+            json!({"parent": "s110_base", "pose_wrt_parent": {"quaternion": [0, 0, 0, 1]}}),
+        ),
+    ];
+    let fused = made.first_labels().parent().unwrap().to_path_buf();
+    for file in fs::read_dir(fused).unwrap() {
+        let file = file.unwrap().path();
+        let mut labels: Value = serde_json::from_slice(&fs::read(&file).unwrap()).unwrap();
+        for (name, system) in &off_the_way {
+            labels["openlabel"]["coordinate_systems"][name] = system.clone();
+        }
+        let frame = &mut labels["openlabel"]["frames"]["0"];
+        frame["frame_properties"]["transforms"]["r"] =
+            json!({"src": "s110_radar", "dst": "s110_imu", "transform_src_to_dst": {"matrix4x4": "none"}});
+        fs::write(&file, labels.to_string()).unwrap();
+    }
+    made.import(&[]).unwrap();
+    compare(&made.out());
+    // On the way they are named.
+    edit(&made.first_labels(), |text| {
+        text.replace("\"matrix4x4\":", "\"other\":")
+    });
+    let error = made.import(&[]).unwrap_err();
+    assert!(
+        error.contains("pose_wrt_parent: expected a rotation and a translation as a 4×4 matrix"),
+        "{error}"
+    );
+}
+
+#[test]
+fn times_of_ouster_before_their_sweep_are_refused() {
+    let made = Made::new(Said::Transforms, false);
+    let file = made
+        .split()
+        .join(format!("point_clouds/{SOUTH}/{}_{SOUTH}.pcd", name(START)));
+    let mut bytes = fs::read(&file).unwrap();
+    // The field is signed here, and the last point's time is below 0.
+    let signed = String::from_utf8_lossy(&bytes).find("TYPE F F F F U").unwrap() + "TYPE F F F F ".len();
+    bytes[signed] = b'I';
+    let last = bytes.len() - 4;
+    bytes[last..].copy_from_slice(&(-5_i32).to_le_bytes());
+    fs::write(&file, bytes).unwrap();
+    let error = made.import(&[]).unwrap_err();
+    assert!(
+        error.contains("field `t`: expected ns from the start of the sweep") && error.contains("found -5"),
+        "{error}"
+    );
 }

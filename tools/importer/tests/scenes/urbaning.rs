@@ -73,6 +73,28 @@ fn sees(sensor: &str) -> Vec<Point3<f64>> {
     }
 }
 
+/// A cloud whose points are measured one a ms, again from the start after 100.
+fn archive(points: &[Point3<f64>]) -> Vec<u8> {
+    let count = format!("{},", points.len());
+    let axis = |of: fn(&Point3<f64>) -> f64| {
+        let bytes = points
+            .iter()
+            .flat_map(|point| (of(point) as f32).to_le_bytes())
+            .collect::<Vec<u8>>();
+        npy("<f4", &count, &bytes)
+    };
+    let bytes = vec![200_u8; points.len()];
+    let offsets: Vec<f64> = (0..points.len()).map(|index| (index % 100) as f64).collect();
+    let arrays = [
+        ("x", axis(|point| point.x)),
+        ("y", axis(|point| point.y)),
+        ("z", axis(|point| point.z)),
+        ("intensity", npy("|u1", &count, &bytes)),
+        ("time_offset_ms", npy("<f8", &count, &doubles(&offsets))),
+    ];
+    npz(&arrays, CompressionMethod::Deflated)
+}
+
 impl Made {
     fn new(has_table: bool) -> Self {
         let made = Made {
@@ -147,24 +169,7 @@ impl Made {
             .iter()
             .map(|point| lidar_from_map.transform_point(point))
             .collect();
-        let count = format!("{},", points.len());
-        let axis = |of: fn(&Point3<f64>) -> f64| {
-            let bytes = points
-                .iter()
-                .flat_map(|point| (of(point) as f32).to_le_bytes())
-                .collect::<Vec<u8>>();
-            npy("<f4", &count, &bytes)
-        };
-        let bytes = vec![200_u8; points.len()];
-        let offsets: Vec<f64> = (0..points.len()).map(|index| (index % 100) as f64).collect();
-        let arrays = [
-            ("x", axis(|point| point.x)),
-            ("y", axis(|point| point.y)),
-            ("z", axis(|point| point.z)),
-            ("intensity", npy("|u1", &count, &bytes)),
-            ("time_offset_ms", npy("<f8", &count, &doubles(&offsets))),
-        ];
-        npz(&arrays, CompressionMethod::Deflated)
+        archive(&points)
     }
 
     fn import(&self, set: &[(&str, &str)]) -> Result<realo_importer::SceneSummary, String> {
@@ -371,4 +376,162 @@ fn what_is_missing_or_damaged_is_named() {
     fs::create_dir(made.sequence().join("vehicle1_state")).unwrap();
     let error = made.import(&[]).unwrap_err();
     assert!(error.contains("expected states, MS.json, found none"), "{error}");
+}
+
+/// Writes the cloud of a LiDAR as it measures: each point where the LiDAR is at the point's own time, which is `ms` and its offset.
+fn write_moving(made: &Made, sensor: &str, name: i64, ms: i64) {
+    let point = |(index, point): (usize, &Point3<f64>)| {
+        let lidar_from_map = lidar(sensor, ms + index as i64 % 100).try_inverse().unwrap();
+        lidar_from_map.transform_point(point)
+    };
+    let points: Vec<Point3<f64>> = sees(sensor).iter().enumerate().map(point).collect();
+    write(&made.sequence().join(format!("{sensor}/{name}.npz")), &archive(&points));
+}
+
+/// Checks the first sweep of the vehicle: where its points were at their own times, and how much later its second LiDAR measured.
+fn check_moving(made: &Made, stamp_ms: i64, later_ms: i64) {
+    let (_, found) = read(&made.out());
+    let sweep = &found[&("cav_vehicle1".to_string(), stamp_ms * 1_000_000)];
+    let times = sweep.cloud.as_ref().unwrap().time.clone();
+    let (there, first) = (sweep.in_map(), sees(LEFT).len());
+    for (index, expected) in [LEFT, MIDDLE].iter().flat_map(|sensor| sees(sensor)).enumerate() {
+        let (own, later) = if index < first {
+            (index, 0)
+        } else {
+            (index - first, later_ms)
+        };
+        let time = own as i64 % 100 + later;
+        assert_eq!(i64::from(times[index]), time * 1_000_000, "point {index}");
+        let moved = vehicle(stamp_ms + time) * vehicle(stamp_ms).try_inverse().unwrap();
+        let off = (moved.transform_point(&there[index]) - expected).norm();
+        assert!(off < 2e-4, "point {index} is {off} m off");
+    }
+}
+
+#[test]
+fn points_of_a_second_lidar_keep_their_own_times() {
+    let names = Made::new(false);
+    let table = Made::new(true);
+    let mut lines = format!("frame,{MIDDLE},{LEFT},{CROSSING}\n");
+    for frame in 0..FRAMES {
+        let ms = START_MS + 100 * frame;
+        write_moving(&names, MIDDLE, ms, ms);
+        write_moving(&names, LEFT, ms + 3, ms + 3);
+        // By the table the left LiDAR, which is the first by name, measures 11 ms before the middle one; by their names 3 ms after.
+        write_moving(&table, MIDDLE, ms, ms + 31);
+        write_moving(&table, LEFT, ms + 3, ms + 20);
+        lines += &format!("{ms},{},,{ms}\n{},,{},\n", ms + 31, ms + 3, ms + 20);
+    }
+    fs::write(table.sequence().join("timesync_info.csv"), lines).unwrap();
+    names.import(&[]).unwrap();
+    check_moving(&names, START_MS + 3, -3);
+    let summary = table.import(&[]).unwrap();
+    assert!(!summary.to_string().contains("does not have them"), "{summary}");
+    check_moving(&table, START_MS + 20, 11);
+}
+
+#[test]
+fn clouds_of_lidars_a_second_apart_are_not_one_sweep() {
+    let made = Made::new(true);
+    let lines = format!(
+        "frame,{MIDDLE},{LEFT}\n{START_MS},{},\n{},,{START_MS}\n",
+        START_MS + 1000,
+        START_MS + 3
+    );
+    fs::write(made.sequence().join("timesync_info.csv"), lines).unwrap();
+    let error = made.import(&[]).unwrap_err();
+    assert!(
+        error.contains("expected a cloud within 1000 ms of the first LiDAR's, found one 1000 ms later")
+            && error.contains("--times names"),
+        "{error}"
+    );
+}
+
+#[test]
+fn labels_are_those_of_the_file_at_each_import() {
+    let made = Made::new(false);
+    let classes = || made.import(&[]).unwrap().classes.into_keys().collect::<Vec<String>>();
+    assert_eq!(classes(), ["Car"]);
+    edit(&made.data().join(format!("labels/{SEQUENCE}.json")), |text| {
+        text.replace("\"Car\"", "\"Van\"")
+    });
+    assert_eq!(classes(), ["Van"]);
+}
+
+#[test]
+fn clouds_that_find_no_place_in_a_sweep_are_named() {
+    type Change = fn(&Made);
+    let at = |made: &Made, sensor: &str, ms: i64| made.sequence().join(format!("{sensor}/{ms}.npz"));
+    let cases: [(Change, String, (&str, i64)); 3] = [
+        (
+            |made| fs::remove_file(made.sequence().join(format!("{LEFT}/{}.npz", START_MS + 3))).unwrap(),
+            format!("1 × cloud at a frame of which `{LEFT}`, the first LiDAR of `vehicle1`, has none: it is left out"),
+            (MIDDLE, START_MS),
+        ),
+        (
+            |made| fs::remove_file(made.sequence().join(format!("{MIDDLE}/{START_MS}.npz"))).unwrap(),
+            format!("1 × cloud at a frame of which `{MIDDLE}`, a LiDAR of the same agent, has none"),
+            (LEFT, START_MS + 3),
+        ),
+        (
+            |made| {
+                let folder = made.sequence().join(MIDDLE);
+                let [from, to] = [START_MS, START_MS + 20].map(|ms| folder.join(format!("{ms}.npz")));
+                fs::copy(from, to).map(drop).unwrap();
+            },
+            "1 × second cloud of a LiDAR within 50 ms: only the first is read".into(),
+            (MIDDLE, START_MS + 20),
+        ),
+    ];
+    for (change, cause, (sensor, ms)) in cases {
+        let made = Made::new(false);
+        change(&made);
+        let error = made.import(&[]).unwrap_err();
+        let named = at(&made, sensor, ms).display().to_string();
+        assert!(error.contains(&cause) && error.contains(&named), "{error}");
+        made.import(&[("skip-incomplete", "")]).unwrap();
+    }
+}
+
+#[test]
+fn a_table_says_which_times_it_does_not_have_and_is_refused_without_any() {
+    let made = Made::new(true);
+    let summary = made.import(&[]).unwrap().to_string();
+    let line = format!(
+        "assumed: the times of 3 of 3 clouds of `{LEFT}` are those of their names: `timesync_info.csv` does not have them"
+    );
+    assert!(
+        summary.contains(&line) && !summary.contains(&format!("clouds of `{MIDDLE}`")),
+        "{summary}"
+    );
+    edit(&made.sequence().join("timesync_info.csv"), |text| {
+        text.replace(MIDDLE, "lidar_1").replace(CROSSING, "lidar_2")
+    });
+    let error = made.import(&[]).unwrap_err();
+    for words in [
+        "timesync_info.csv`: expected columns",
+        MIDDLE,
+        "found columns `lidar_1`, `lidar_2`",
+        "--times names",
+    ] {
+        assert!(error.contains(words), "{words} is not in\n{error}");
+    }
+    made.import(&[("times", "names")]).unwrap();
+}
+
+#[test]
+fn a_key_of_poses_chooses_where_there_are_several_only() {
+    let made = Made::new(true);
+    edit(&made.data().join("calibration.json"), |text| {
+        text.replace(
+            "\"matrix\"",
+            "\"other\":[[1,2,3,4],[1,2,3,4],[1,2,3,4],[0,0,0,1]],\"matrix\"",
+        )
+    });
+    made.import(&[("pose-key", "matrix")]).unwrap();
+    let error = made.import(&[("pose-key", "third")]).unwrap_err();
+    assert!(
+        error.contains("expected a 4×4 matrix under `third` (--pose-key), found"),
+        "{error}"
+    );
 }

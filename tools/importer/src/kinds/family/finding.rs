@@ -130,6 +130,7 @@ impl Walk<'_> {
             name,
             agents,
             unwanted: Vec::new(),
+            assumed: Vec::new(),
         });
         Ok(())
     }

@@ -1,6 +1,6 @@
-//! Files of OpenLABEL: the objects of a frame, and how sensors lie to each other.
+//! Files of OpenLABEL: the objects of a frame, and the transforms between sensors.
 
-use std::collections::{BTreeMap, VecDeque};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::Path;
 
 use nalgebra::{Isometry3, Quaternion, Translation3, UnitQuaternion};
@@ -56,9 +56,28 @@ struct System {
     pose_wrt_parent: Option<Matrix>,
 }
 
+/// A pose, which need not be one before it is used.
 #[derive(Deserialize)]
 struct Matrix {
+    #[serde(default)]
     matrix4x4: Value,
+}
+
+/// A matrix that leads from one sensor to another, by their plain names.
+struct Edge<'a> {
+    to: String,
+    from: String,
+    to_from_from: &'a Matrix,
+    is_inverse: bool,
+    /// Where the file has it.
+    key: String,
+}
+
+impl Edge<'_> {
+    fn pose(&self) -> Result<Isometry3<f64>, String> {
+        let pose = self.to_from_from.pose(&self.key)?;
+        Ok(if self.is_inverse { pose.inverse() } else { pose })
+    }
 }
 
 #[derive(Deserialize)]
@@ -190,52 +209,73 @@ impl OpenLabel {
     /// Brings points of a sensor to another: by the transforms of the frame and the poses of sensors at their parents.
     ///
     /// # Errors
-    /// No way; a matrix that is no pose.
+    /// No way; a matrix on the way that is not a pose.
     pub fn way(&self, to: &str, from: &str, poses_from_parent: bool) -> Result<Isometry3<f64>, String> {
-        let mut edges: Vec<(String, String, Isometry3<f64>)> = Vec::new();
-        for (name, transform) in &self.frame().frame_properties.transforms {
-            let pose = transform.transform_src_to_dst.pose(&format!("transforms.{name}"))?;
-            edges.push((plain(&transform.dst), plain(&transform.src), pose));
-        }
-        for (name, system) in &self.openlabel.coordinate_systems {
-            let Some(matrix) = system.pose_wrt_parent.as_ref().filter(|_| !system.parent.is_empty()) else {
-                continue;
-            };
-            // Cameras have theirs the other way round, and no part in this.
-            if name.contains("camera") {
-                continue;
-            }
-            let pose = matrix.pose(&format!("coordinate_systems.{name}.pose_wrt_parent"))?;
-            let pose = if poses_from_parent { pose.inverse() } else { pose };
-            edges.push((plain(&system.parent), plain(name), pose));
-        }
+        let edges = self.edges(poses_from_parent);
         let (to, from) = (plain(to), plain(from));
-        let mut known = BTreeMap::from([(to.clone(), Isometry3::identity())]);
-        let mut open = VecDeque::from([to.clone()]);
+        // By sensor: the edge from the sensor before it on the way from `to`, and that sensor.
+        let mut before: BTreeMap<&str, Option<(&Edge, &str)>> = BTreeMap::from([(to.as_str(), None)]);
+        let mut open = VecDeque::from([to.as_str()]);
         while let Some(here) = open.pop_front() {
-            let to_from_here = known[&here];
-            for (a, b, a_from_b) in &edges {
-                let (there, step) = match (*a == here, *b == here) {
-                    (true, false) => (b, *a_from_b),
-                    (false, true) => (a, a_from_b.inverse()),
+            for edge in &edges {
+                let there = match (edge.to == here, edge.from == here) {
+                    (true, false) => edge.from.as_str(),
+                    (false, true) => edge.to.as_str(),
                     _ => continue,
                 };
-                if !known.contains_key(there) {
-                    known.insert(there.clone(), to_from_here * step);
-                    open.push_back(there.clone());
+                if !before.contains_key(there) {
+                    before.insert(there, Some((edge, here)));
+                    open.push_back(there);
                 }
             }
         }
-        known.get(&from).copied().ok_or_else(|| {
-            let names: Vec<&str> = edges.iter().flat_map(|(a, b, _)| [a.as_str(), b.as_str()]).collect();
-            let names = std::collections::BTreeSet::from_iter(names);
-            let names = Vec::from_iter(names).join("`, `");
-            format!(
-                "no transform leads from `{from}` to `{to}`, the frame of the labels; the file has transforms among `{names}`; name another \
-                 frame with --label-frame"
-            )
-        })
+        if !before.contains_key(from.as_str()) {
+            return Err(no_way(&edges, &to, &from));
+        }
+        let (mut to_from_from, mut at) = (Isometry3::identity(), from.as_str());
+        while let Some(Some((edge, nearer))) = before.get(at) {
+            let step = edge.pose()?;
+            let nearer_from_at = if edge.to == *nearer { step } else { step.inverse() };
+            to_from_from = nearer_from_at * to_from_from;
+            at = nearer;
+        }
+        Ok(to_from_from)
     }
+
+    /// All transforms between sensors, unread.
+    fn edges(&self, poses_from_parent: bool) -> Vec<Edge<'_>> {
+        let transforms = &self.frame().frame_properties.transforms;
+        let transforms = transforms.iter().map(|(name, transform)| Edge {
+            to: plain(&transform.dst),
+            from: plain(&transform.src),
+            to_from_from: &transform.transform_src_to_dst,
+            is_inverse: false,
+            key: format!("transforms.{name}"),
+        });
+        let systems = self.openlabel.coordinate_systems.iter();
+        // Cameras have theirs the other way round, and no part in this.
+        let systems =
+            systems.filter(|(name, system)| !system.parent.is_empty() && !name.to_lowercase().contains("camera"));
+        let systems = systems.filter_map(|(name, system)| {
+            Some(Edge {
+                to: plain(&system.parent),
+                from: plain(name),
+                to_from_from: system.pose_wrt_parent.as_ref()?,
+                is_inverse: poses_from_parent,
+                key: format!("coordinate_systems.{name}.pose_wrt_parent"),
+            })
+        });
+        transforms.chain(systems).collect()
+    }
+}
+
+fn no_way(edges: &[Edge], to: &str, from: &str) -> String {
+    let names = edges.iter().flat_map(|edge| [edge.to.as_str(), edge.from.as_str()]);
+    let names = Vec::from_iter(BTreeSet::from_iter(names)).join("`, `");
+    format!(
+        "no transform leads from `{from}` to `{to}`, the frame of the labels; the file has transforms among `{names}`; name another \
+         frame with --label-frame"
+    )
 }
 
 #[cfg(test)]

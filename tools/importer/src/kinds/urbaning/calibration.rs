@@ -73,18 +73,29 @@ fn entry<'a>(value: &'a Value, key: &str, depth: usize) -> Option<&'a Value> {
         .or_else(|| fields.values().find_map(|inner| entry(inner, key, depth + 1)))
 }
 
-/// The only 4×4 matrix in a value, or the only one under a key.
+/// The only 4×4 matrix in a value; of several the only one under a key.
 fn only_matrix(value: &Value, key: Option<&str>) -> Result<Isometry3<f64>, String> {
     let mut found = Vec::new();
     matrices(value, String::new(), 0, &mut found);
-    if let Some(key) = key {
+    if let Some(key) = key.filter(|_| found.len() > 1) {
+        let all: Vec<String> = found.iter().map(|(path, _)| path.clone()).collect();
         found.retain(|(path, _)| path.split('.').any(|part| part == key));
+        if found.is_empty() {
+            return Err(format!(
+                "expected a 4×4 matrix under `{}` (--pose-key), found {}",
+                crate::shown(key),
+                all.join(", ")
+            ));
+        }
     }
     match &found[..] {
         [(path, numbers)] => of_rows(numbers)
             .filter(|_| numbers[12..] == [0.0, 0.0, 0.0, 1.0])
             .ok_or_else(|| format!("{path}: expected a rotation and a translation as a 4×4 matrix, found {numbers:?}")),
-        [] => Err("expected a 4×4 matrix, found none; name its key with --pose-key if it has another form".into()),
+        [] => Err(
+            "expected a 4×4 matrix, as four rows or 16 numbers, found none; see whether the file is of the data set"
+                .into(),
+        ),
         several => {
             let paths: Vec<&str> = several.iter().map(|(path, _)| path.as_str()).collect();
             Err(format!(
@@ -199,6 +210,13 @@ mod tests {
         let error = only_matrix(&two, None).unwrap_err();
         assert!(error.contains("found a, b.c; choose with --pose-key"), "{error}");
         assert!(only_matrix(&two, Some("c")).is_ok());
+        let error = only_matrix(&two, Some("d")).unwrap_err();
+        assert!(error.contains("under `d` (--pose-key), found a, b.c"), "{error}");
+        let one = json!({"transformation": rows});
+        assert!(
+            only_matrix(&one, Some("c")).is_ok(),
+            "where there is one, no key is needed"
+        );
         assert!(
             only_matrix(&json!({"k": [[1, 2], [3, 4]]}), None)
                 .unwrap_err()

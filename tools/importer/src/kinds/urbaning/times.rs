@@ -63,7 +63,8 @@ impl TimeTable {
                     crate::shown(&cells[0])
                 ))
             })?;
-            let ms = u64::try_from(frame.saturating_add(500_000) / 1_000_000).unwrap_or_default();
+            // A time since 1970 is not below 0.
+            let ms = frame.saturating_add(500_000).unsigned_abs() / 1_000_000;
             for (sensor, cell) in head.iter().zip(&cells).skip(1).filter(|(_, cell)| !cell.is_empty()) {
                 let time = nanos(cell).ok_or_else(|| {
                     wrong(format!(
@@ -76,6 +77,11 @@ impl TimeTable {
             }
         }
         Ok(TimeTable { sensors })
+    }
+
+    /// The sensors that have a column.
+    pub fn sensors(&self) -> impl Iterator<Item = &str> {
+        self.sensors.keys().map(String::as_str)
     }
 
     /// The true time of a sensor's sweep with this time in its name, ms.
@@ -121,6 +127,14 @@ mod tests {
         for text in ["", "now", "-5", "1e9", "."] {
             assert_eq!(nanos(text), None, "{text}");
         }
+    }
+
+    #[test]
+    fn the_last_time_that_a_table_can_have_keeps_its_frame() {
+        let last = i64::MAX;
+        let table = TimeTable::parse(&format!("t,a\n{last},{last}\n")).unwrap();
+        assert_eq!(table.of("a", 9_223_372_036_854), Some(last));
+        assert_eq!(table.of("a", 0), None);
     }
 
     #[test]

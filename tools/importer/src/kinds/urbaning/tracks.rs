@@ -1,6 +1,7 @@
 //! Labels of a sequence: a track for each object, with its places over time.
 
-use std::path::Path;
+use std::path::{Path, PathBuf};
+use std::sync::OnceLock;
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
 use realo_logs::track_of;
@@ -12,7 +13,7 @@ use serde_json::Value;
 use crate::ImportError;
 use crate::files::read_json;
 use crate::options::BoxPlace;
-use crate::scenes::Label;
+use crate::scenes::{Label, SharedLabels};
 
 /// Between two places so far apart an object is interpolated, ns.
 const BRIDGED: Nanos = 250_000_000;
@@ -51,14 +52,43 @@ struct Track {
 }
 
 /// All objects of a sequence.
-pub struct Tracks(Vec<Track>);
+struct Tracks(Vec<Track>);
+
+/// The file of a sequence's labels; it is read when the first sweep needs it.
+pub struct TracksFile {
+    path: PathBuf,
+    tracks: OnceLock<Tracks>,
+}
+
+impl TracksFile {
+    /// Of a path at which the file need not be.
+    pub fn new(path: &Path) -> Self {
+        TracksFile {
+            path: path.into(),
+            tracks: OnceLock::new(),
+        }
+    }
+}
+
+impl SharedLabels for TracksFile {
+    fn at(&self, at: Nanos, place: BoxPlace) -> Result<(Vec<Label>, usize), ImportError> {
+        let tracks = match self.tracks.get() {
+            Some(tracks) => tracks,
+            None => {
+                let tracks = Tracks::read(&self.path)?;
+                self.tracks.get_or_init(|| tracks)
+            }
+        };
+        Ok(tracks.at(at, place))
+    }
+}
 
 impl Tracks {
     /// Reads a file.
     ///
     /// # Errors
     /// A file of another form; columns of a track that differ in length.
-    pub fn read(path: &Path) -> Result<Self, ImportError> {
+    fn read(path: &Path) -> Result<Self, ImportError> {
         let file: File = read_json(path)?;
         let tracks = file.tracks.into_iter().map(track);
         tracks
@@ -68,7 +98,7 @@ impl Tracks {
     }
 
     /// The objects at a time, and how many have no size.
-    pub fn at(&self, at: Nanos, place: BoxPlace) -> (Vec<Label>, usize) {
+    fn at(&self, at: Nanos, place: BoxPlace) -> (Vec<Label>, usize) {
         let there: Vec<Label> = self.0.iter().filter_map(|track| track.at(at, place)).collect();
         let all = there.len();
         let labels: Vec<Label> = there.into_iter().filter(|label| !label.size.contains(&0.0)).collect();
