@@ -163,7 +163,7 @@ impl Reader {
         let Pillars { dropped, .. } = pillars;
         Sweep {
             is_empty: count == 0,
-            dropped: dropped.clone(),
+            dropped: *dropped,
             inputs: vec![
                 (VOXELS.name, Input::floats(&[count, slots, 4], voxels)),
                 (VOXEL_COORDS.name, Input::whole(&[count, coordinates], places)),
