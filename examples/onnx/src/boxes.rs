@@ -1,5 +1,6 @@
 //! Detections that a network gives.
 
+use realo_bev::counters::OVER_LIMIT_BOXES;
 use realo_operator::{Counter, Settings};
 use realo_schemas::geometry::{is_valid, normalize_yaw};
 use realo_schemas::{Box3, Boxes};
@@ -41,11 +42,6 @@ pub const SCORES: Wanted = Wanted::floats("scores", &["boxes", "classes"]);
 /// What a network gives.
 pub const OUTPUTS: &[Wanted] = &[BOXES, SCORES];
 
-/// Counts boxes beyond the best.
-pub const OVER_LIMIT_BOXES: Counter = Counter::plain(
-    "over_limit_boxes",
-    "detections above the min score, but not among the best 1,000",
-);
 /// Counts boxes that no object can have.
 pub const INVALID_BOXES: Counter = Counter::loss(
     "invalid_boxes",
@@ -106,8 +102,12 @@ impl Decoder {
                 "expected {BOXES} and {SCORES}, of {expected} classes, found [{count}, {numbers}] and [{scored}, {classes}]"
             )));
         }
-        let mut best: Vec<(f32, usize, usize)> = Vec::new();
+        let (mut best, mut not_finite) = (Vec::<(f32, usize, usize)>::new(), 0);
         for (index, scores) in scores.chunks_exact(classes).enumerate() {
+            if !scores.iter().all(|score| score.is_finite()) {
+                not_finite += 1;
+                continue;
+            }
             let (mut class, mut score) = (0, f32::NEG_INFINITY);
             for (number, value) in scores.iter().enumerate() {
                 if *value > score {
@@ -130,7 +130,7 @@ impl Decoder {
         let boxes: Vec<Box3> = boxed.filter(is_valid).collect();
         Ok(Decoded {
             over_limit,
-            invalid: (all - boxes.len()) as u64,
+            invalid: not_finite + (all - boxes.len()) as u64,
             boxes: Boxes(boxes),
         })
     }

@@ -1,5 +1,6 @@
 //! Points as a network reads them: as they are, or in pillars.
 
+use realo_bev::counters::{EMPTY_SWEEPS, OVER_POINTS};
 use realo_methods::detect::pillars::{Dropped, Pillariser, Pillars, Points};
 use realo_nn::model::Grid;
 use realo_operator::{Counter, Settings};
@@ -42,18 +43,6 @@ const VOXEL_NUM_POINTS: Wanted = Wanted::whole("voxel_num_points", &["pillars"])
 /// What a network may read of a sweep.
 pub const INPUTS: &[Wanted] = &[POINTS, VOXELS, VOXEL_COORDS, VOXEL_NUM_POINTS];
 
-/// Counts sweeps in which a network cannot find anything.
-pub const EMPTY_SWEEPS: Counter = Counter::log_fault(
-    "empty_sweeps",
-    "sweeps that have no point in the network's grid, so that nothing can be found in them",
-    "sweeps have no point in the range of the network, so that nothing was found in them",
-    "points are expected in metres, in the body frame of their agent; the setting `range` is the network's grid",
-);
-/// Counts points that no pillar takes.
-pub const OVER_POINTS: Counter = Counter::plain(
-    "over_points",
-    "points left out: they came after the last that their pillar takes",
-);
 /// Counts points outside the grid, or not finite.
 pub const OUT_OF_RANGE_POINTS: Counter = Counter::plain(
     "out_of_range_points",
@@ -174,7 +163,7 @@ impl Reader {
         let Pillars { dropped, .. } = pillars;
         Sweep {
             is_empty: count == 0,
-            dropped: dropped.clone(),
+            dropped: *dropped,
             inputs: vec![
                 (VOXELS.name, Input::floats(&[count, slots, 4], voxels)),
                 (VOXEL_COORDS.name, Input::whole(&[count, coordinates], places)),

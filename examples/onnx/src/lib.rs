@@ -12,6 +12,7 @@
 
 pub mod boxes;
 pub mod cloud;
+mod identity;
 pub mod maps;
 pub mod network;
 mod role;

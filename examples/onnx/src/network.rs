@@ -11,7 +11,6 @@ use rten::{DataType, Dimension, Model, ModelOptions, NodeId, RunOptions, ThreadP
 use rten_tensor::Tensor;
 use rten_tensor::prelude::*;
 use serde::{Deserialize, Serialize};
-use sha2::{Digest, Sha256};
 
 /// How a pointer of Git LFS begins.
 const POINTER: &[u8] = b"version https://git-lfs";
@@ -150,11 +149,6 @@ impl Network {
     pub fn load(settings: &Onnx, inputs: &[Wanted], outputs: &[Wanted]) -> Result<Self, NetworkError> {
         let path = settings.model.clone();
         let bytes = read(&path)?;
-        let identity: String = Sha256::digest(&bytes)
-            .iter()
-            .take(6)
-            .map(|byte| format!("{byte:02x}"))
-            .collect();
         let mut options = ModelOptions::with_all_ops();
         options.prepack_weights(true);
         // The loader finds by the path what a file keeps in a second one.
@@ -171,7 +165,7 @@ impl Network {
             inputs: bind(&path, &model, "input", model.input_ids(), inputs, &names)?,
             outputs: bind(&path, &model, "output", model.output_ids(), outputs, &names)?,
             pool: Arc::new(ThreadPool::with_num_threads(threads)),
-            identity: format!("onnx-{identity}"),
+            identity: crate::identity::identity(&path, &bytes)?,
             model,
             path,
         })
@@ -182,7 +176,7 @@ impl Network {
         &self.path
     }
 
-    /// A name that changes with the file's bytes.
+    /// A name that changes with the bytes of the file, and of files beside it that hold its weights.
     pub fn identity(&self) -> &str {
         &self.identity
     }

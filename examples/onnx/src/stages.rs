@@ -1,12 +1,13 @@
 //! The stages, one for each role.
 
+use realo_bev::counters::{EMPTY_SWEEPS, OVER_LIMIT_BOXES, OVER_POINTS, count_empty};
 use realo_fusion::{Input as FusionInput, Pairing};
 use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings};
 use realo_schemas::{Boxes, FeatureMap, Header, Kind, PointCloud};
 use serde::{Deserialize, Serialize};
 
-use crate::boxes::{self, Decoder, Detections, INVALID_BOXES, OVER_LIMIT_BOXES};
-use crate::cloud::{self, Cloud, EMPTY_SWEEPS, OUT_OF_RANGE_POINTS, OVER_PILLARS, OVER_POINTS, Reader, Sweep};
+use crate::boxes::{self, Decoder, Detections, INVALID_BOXES};
+use crate::cloud::{self, Cloud, OUT_OF_RANGE_POINTS, OVER_PILLARS, Reader, Sweep};
 use crate::maps::{self, FEATURES, MAPS, MASK};
 use crate::network::{Input as Tensor, Network, Onnx};
 use crate::role::Role;
@@ -134,7 +135,7 @@ fn read<O>(
         is_empty,
     } = reader.read(cloud);
     let agent = &header.agent;
-    out.count_of(&EMPTY_SWEEPS, agent, u64::from(is_empty), 1);
+    count_empty(out, agent, cloud.len(), is_empty);
     out.count(&OUT_OF_RANGE_POINTS, agent, dropped.out_of_range + dropped.not_finite);
     out.count(&OVER_POINTS, agent, dropped.over_points);
     out.count_of(&OVER_PILLARS, agent, dropped.over_pillars, cloud.len() as u64);
@@ -327,7 +328,7 @@ fn find(
     let found = network.plain(&boxes::BOXES, found)?;
     let scores = network.plain(&boxes::SCORES, scores)?;
     let decoded = decoder.decode(network, found, scores)?;
-    let all = decoded.boxes.0.len() as u64 + decoded.invalid;
+    let all = decoded.boxes.0.len() as u64 + decoded.over_limit + decoded.invalid;
     out.count(&OVER_LIMIT_BOXES, &header.agent, decoded.over_limit);
     out.count_of(&INVALID_BOXES, &header.agent, decoded.invalid, all);
     let header = Header {

@@ -286,14 +286,83 @@ fn a_head_gives_boxes_best_first() {
     assert_eq!(of(&found[1]), [2.0, 1.5, 2.0, 4.0]);
 }
 
+/// Why a stage is not made of a file.
+fn refused<O: realo_operator::Operator + Send + 'static>(model: &Path, more: &[&str]) -> String {
+    built::<O>(&args(model, more)).map(drop).expect_err("it is refused")
+}
+
+fn assert_all(cases: &[(String, &[&str])]) {
+    for (error, expected) in cases {
+        assert!(
+            expected.iter().all(|words| error.contains(words)),
+            "{error}\nexpected {expected:?}"
+        );
+    }
+}
+
 #[test]
-fn what_a_file_has_is_checked_when_it_is_loaded() {
+fn what_is_not_a_file_of_onnx_is_refused() {
     let folder = folder();
     let at = |name: &str| folder.path().join(name);
-    let write = |name: &str, bytes: &[u8]| {
+    let head = |name: &str, bytes: &[u8]| {
         std::fs::write(at(name), bytes).unwrap();
-        at(name)
+        refused::<Head>(&at(name), &[])
     };
+    assert_all(&[
+        (
+            refused::<Head>(&at("none.onnx"), &[]),
+            &["none.onnx", "cannot be read", "relative to the graph's folder"],
+        ),
+        (refused::<Head>(folder.path(), &[]), &["found a folder"]),
+        (
+            head("p.onnx", b"version https://git-lfs.github.com/spec/v1\n"),
+            &["git lfs pull"],
+        ),
+        (head("t.onnx", b"PK\x03\x04torch"), &["torch.onnx.export"]),
+        (
+            head("n.onnx", b"\xff\xff\xff\xff nothing"),
+            &["n.onnx", "cannot be read as ONNX"],
+        ),
+        (head("net.txt", b"text"), &["ends in .onnx"]),
+    ]);
+}
+
+#[test]
+fn outputs_and_names_are_checked_when_a_file_is_loaded() {
+    let folder = folder();
+    let file = of_features(folder.path(), "8", "1");
+    let head = |more: &[&str]| refused::<Head>(&file, more);
+    assert_all(&[
+        (
+            head(&[]),
+            &[
+                "outputs: expected `scores` [boxes, classes]",
+                "3 numbers a box",
+                "found 1",
+            ],
+        ),
+        (
+            head(&["classes=Car", "names=features:x"]),
+            &[
+                "inputs: expected `features`",
+                "under the name `x`",
+                "the file has `features`",
+            ],
+        ),
+        (
+            head(&["classes=Car", "names=feature:x"]),
+            &["expected one of features, boxes, scores", "`feature`"],
+        ),
+        (
+            head(&["classes=Car", "names=features"]),
+            &["expected `ours:theirs`, found `features`"],
+        ),
+    ]);
+}
+
+#[test]
+fn inputs_and_sizes_are_checked_when_a_file_is_loaded() {
+    let folder = folder();
     let head = of_features(folder.path(), "8", "1");
     let fixed = File::default().input("points", Kind::Float, &["100", "4"]);
     let fixed = fixed.whole("shape", &[1, 1, 100, 4]);
@@ -302,109 +371,109 @@ fn what_a_file_has_is_checked_when_it_is_loaded() {
         .output("features", Kind::Float, &["1", "1", "100", "4"])
         .write(folder.path(), "fixed.onnx");
     let pillars = of_pillars(folder.path());
-    let alone = |agents| of_maps(folder.path(), agents, false);
-    let head_of = |more: &[&str]| built::<Head>(&args(&head, more)).map(drop).unwrap_err();
-    let cases: Vec<(Result<(), String>, &[&str])> = vec![
+    assert_all(&[
         (
-            built::<Head>(&args(&at("none.onnx"), &[])).map(drop),
-            &["none.onnx", "cannot be read", "relative to the graph's folder"],
-        ),
-        (built::<Head>(&args(folder.path(), &[])).map(drop), &["found a folder"]),
-        (
-            built::<Head>(&args(
-                &write("p.onnx", b"version https://git-lfs.github.com/spec/v1\n"),
-                &[],
-            ))
-            .map(drop),
-            &["git lfs pull"],
-        ),
-        (
-            built::<Head>(&args(&write("t.onnx", b"PK\x03\x04torch"), &[])).map(drop),
-            &["torch.onnx.export"],
-        ),
-        (
-            built::<Head>(&args(&write("n.onnx", b"\xff\xff\xff\xff nothing"), &[])).map(drop),
-            &["n.onnx", "cannot be read as ONNX"],
-        ),
-        (
-            built::<Head>(&args(&write("net.txt", b"text"), &[])).map(drop),
-            &["ends in .onnx"],
-        ),
-        (
-            Err(head_of(&[])),
-            &[
-                "outputs: expected `scores` [boxes, classes]",
-                "3 numbers a box",
-                "found 1",
-            ],
-        ),
-        (
-            Err(head_of(&["classes=Car", "names=features:x"])),
-            &[
-                "inputs: expected `features`",
-                "under the name `x`",
-                "the file has `features`",
-            ],
-        ),
-        (
-            Err(head_of(&["classes=Car", "names=feature:x"])),
-            &["expected one of features, boxes, scores", "`feature`"],
-        ),
-        (
-            Err(head_of(&["classes=Car", "names=features"])),
-            &["expected `ours:theirs`, found `features`"],
-        ),
-        (
-            built::<Encoder>(&args(&head, &[])).map(drop),
+            refused::<Encoder>(&head, &[]),
             &["inputs: expected no other than `points`", "found `features`"],
         ),
         (
-            built::<Encoder>(&args(&fixed, &[])).map(drop),
+            refused::<Encoder>(&fixed, &[]),
             &["for any number of points", "for 100", "dynamic dimension"],
         ),
         (
-            built::<Encoder>(&args(&pillars, &[])).map(drop),
+            refused::<Encoder>(&pillars, &[]),
             &["expected `max_points=3`", "found 32"],
         ),
         (
-            built::<Encoder>(&args(&pillars, &["range=3,0,0,-3,1,1"])).map(drop),
+            refused::<Encoder>(&pillars, &["range=3,0,0,-3,1,1"]),
             &["setting `range`"],
         ),
         (
-            built::<Fusion>(&args(&alone("3"), &[])).map(drop),
+            refused::<Fusion>(&of_maps(folder.path(), "3", false), &[]),
             &["`mask`", "for exactly 3"],
         ),
         (
-            built::<Detector>(&args(&pillars, &[])).map(drop),
+            refused::<Detector>(&pillars, &[]),
             &["outputs: expected `boxes` [boxes, 7]", "the file has `features`"],
         ),
-    ];
-    for (found, expected) in cases {
-        let error = found.expect_err("it is refused");
-        assert!(
-            expected.iter().all(|words| error.contains(words)),
-            "{error}\nexpected {expected:?}"
-        );
-    }
+    ]);
+}
+
+#[test]
+fn types_and_dimensions_are_checked_when_a_file_is_loaded() {
+    let folder = folder();
     let wrong = File::default().input("features", Kind::Int64, &["1", "8", "4", "6"]);
     let wrong = wrong
         .node("Identity", &["features"], "boxes", &[])
         .output("boxes", Kind::Int64, &["n", "7"]);
-    let wrong = built::<Head>(&args(&wrong.write(folder.path(), "wrong.onnx"), &[]))
-        .map(drop)
-        .unwrap_err();
-    assert!(
-        wrong.contains("`features`") && wrong.contains("another type") && wrong.contains("of int32 or int64"),
-        "{wrong}"
-    );
     let flat = File::default().input("features", Kind::Float, &["8", "6"]);
     let flat = flat
         .node("Identity", &["features"], "boxes", &[])
         .output("boxes", Kind::Float, &["8", "6"]);
-    let flat = built::<Head>(&args(&flat.write(folder.path(), "flat.onnx"), &[]))
-        .map(drop)
-        .unwrap_err();
-    assert!(flat.contains("found it as [8, 6]"), "{flat}");
+    assert_all(&[
+        (
+            refused::<Head>(&wrong.write(folder.path(), "wrong.onnx"), &[]),
+            &["`features`", "another type", "of int32 or int64"],
+        ),
+        (
+            refused::<Head>(&flat.write(folder.path(), "flat.onnx"), &[]),
+            &["found it as [8, 6]"],
+        ),
+    ]);
+}
+
+#[test]
+fn maps_name_the_weights_that_are_beside_their_file() {
+    let folder = folder();
+    let file = File::default().input("points", Kind::Float, &["n", "4"]);
+    let file = file.whole("shape", &[1, 4, 1, 1]).whole("size", &[1, 4, 4, 6]);
+    let file = file.elsewhere("weights", &[4], "weights.data");
+    let file = file.node("ReduceMean", &["points"], "mean", &[("axes", &[0])]);
+    let file = file.node("Mul", &["mean", "weights"], "weighted", &[]);
+    let file = file.node("Reshape", &["weighted", "shape"], "one", &[]);
+    let file = file.node("Expand", &["one", "size"], "features", &[]);
+    let file = file.output("features", Kind::Float, &["1", "4", "4", "6"]);
+    let file = file.write(folder.path(), "weighted.onnx");
+    let encoded = |weights: [f32; 4]| {
+        std::fs::write(
+            folder.path().join("weights.data"),
+            weights.map(f32::to_le_bytes).concat(),
+        )
+        .unwrap();
+        let mut stage = built::<Encoder>(&args(&file, &[GRID[0], GRID[1], "send=own"])).unwrap();
+        let (sent, _) = asked(&mut stage, sweep(&[[1.0, 1.5, 0.5]])).unwrap();
+        let found: FeatureMap = sent[0].clone().into_parts().unwrap().1;
+        (found.model.clone(), found.numbers().unwrap()[..3].to_vec())
+    };
+    let (one, two) = (encoded([1.0; 4]), encoded([2.0; 4]));
+    assert_eq!(
+        (one.1.as_slice(), two.1.as_slice()),
+        (&[1.0, 1.5, 0.5][..], &[2.0, 3.0, 1.0][..])
+    );
+    assert_ne!(one.0, two.0, "other weights are another model");
+    assert_eq!(one, encoded([1.0; 4]));
+    std::fs::remove_file(folder.path().join("weights.data")).unwrap();
+    let error = refused::<Encoder>(&file, &GRID);
+    assert!(
+        error.contains("weighted.onnx") && error.contains("weights.data"),
+        "{error}"
+    );
+}
+
+#[test]
+fn boxes_whose_scores_are_not_numbers_are_counted() {
+    let folder = folder();
+    let file = of_features(folder.path(), "8", "1");
+    let features = |row: usize, at: usize| match (row, at) {
+        (3 | 7, 7) => f32::NAN,
+        (3 | 7 | 9, at) => [1.0, 2.0, 0.5, 4.0, 2.0, 1.5, 0.0, 1.0][at],
+        _ => -9.0,
+    };
+    let message = Message::new(header("cav1", Of::Features), map(8, |at| features(at / 8, at % 8)));
+    let mut stage = built::<Head>(&args(&file, &["classes=Car", "score_threshold=0.2"])).unwrap();
+    let (sent, out) = asked(&mut stage, message).unwrap();
+    let Boxes(found) = sent[0].clone().into_parts().unwrap().1;
+    assert_eq!((found.len(), out.counted("invalid_boxes")), (1, 2));
 }
 
 #[test]

@@ -75,6 +75,25 @@ impl File {
         self
     }
 
+    /// Adds a constant of floats that are in a file beside this one, from its first byte on.
+    pub fn elsewhere(mut self, name: &str, dimensions: &[u64], file: &str) -> Self {
+        let tensor = dimensions
+            .iter()
+            .fold(Bytes::default(), |tensor, n| tensor.number(1, *n));
+        let tensor = tensor.number(2, Kind::Float as u64).text(8, name).number(14, 1);
+        let length = 4 * dimensions.iter().product::<u64>();
+        let pairs = [
+            ("location", file.to_string()),
+            ("offset", "0".into()),
+            ("length", length.to_string()),
+        ];
+        let tensor = pairs.iter().fold(tensor, |tensor, (key, value)| {
+            tensor.inner(13, &Bytes::default().text(1, key).text(2, value).0)
+        });
+        self.graph = self.graph.inner(5, &tensor.0);
+        self
+    }
+
     /// Adds an operator with attributes of whole numbers.
     pub fn node(mut self, operator: &str, inputs: &[&str], output: &str, attributes: &[(&str, &[i64])]) -> Self {
         let mut node = inputs.iter().fold(Bytes::default(), |node, input| node.text(1, input));
