@@ -157,7 +157,10 @@ mod tests {
             }
         }
         let error = recipes.page("other").unwrap_err().to_string();
-        assert!(error.contains("there is no page `other`, but: bytes"), "{error}");
+        assert!(
+            error.contains("there is no page `other`, but: agents, bytes"),
+            "{error}"
+        );
     }
 
     /// The table in README.md is never edited by hand: it is one of the page's, and there is none without the page.
