@@ -39,6 +39,9 @@ struct Recipe {
     program: Option<Program>,
 }
 
+/// Outputs of stages that a tap wants, with the number by which it knows each.
+pub(crate) type Tapped = BTreeMap<(usize, PortId), u32>;
+
 impl Stages {
     /// The stages of a graph; plug-ins are started and asked for their ports.
     ///
@@ -104,7 +107,7 @@ impl Stages {
     }
 
     /// Has the outputs that a tap wants leave their stages; gives these, each with its number.
-    pub(crate) fn let_see(&mut self, tap: &Tap) -> BTreeMap<(usize, PortId), u32> {
+    pub(crate) fn let_see(&mut self, tap: &Tap) -> Tapped {
         let mut seen = BTreeMap::new();
         for (index, stage) in self.wiring.stages.iter_mut().enumerate() {
             for (number, output) in stage.registration.outputs.iter().enumerate() {

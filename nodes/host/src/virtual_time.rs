@@ -5,16 +5,16 @@
 //! child process and answers one call at a time, so it changes nothing in that order.
 
 use std::cell::RefCell;
-use std::collections::BTreeMap;
 use std::sync::atomic::{AtomicBool, Ordering};
 use std::time::{Duration, Instant};
 
 use realo_engine::{Engine, EngineError, Leaving, Servers, Step, Task, Wired};
-use realo_operator::{Books, Built, Counts, Outputs, PortId, Role};
+use realo_operator::{Books, Built, Counts, Outputs, Role};
 use realo_schemas::{Message, Nanos};
 use rustix::time::{ClockId, clock_gettime};
 
 use crate::shared::{Recorder, Serving, mark_of};
+use crate::stages::Tapped;
 use crate::{BuildError, ComputeProfile, Outline, Shared, Stages, Tap};
 
 /// Why a run in virtual time failed.
@@ -276,7 +276,7 @@ struct Simulation<'a> {
     compute: &'a ComputeProfile,
     observer: Option<Observer<'a>>,
     /// A tap, and the numbers of the outputs that it wants.
-    tap: Option<(&'a Tap, &'a BTreeMap<(usize, PortId), u32>)>,
+    tap: Option<(&'a Tap, &'a Tapped)>,
     /// Time of the last event.
     now: Nanos,
     /// What the calls of each stage took on this machine, ns.

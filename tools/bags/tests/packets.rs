@@ -129,7 +129,7 @@ fn captures_have_topics_of_clouds_by_the_metadata_beside_them() {
     );
     assert_eq!(cloud.time.iter().copied().min(), Some(0));
     assert_eq!(cloud.time.iter().copied().max(), Some(99_851_390));
-    assert!(cloud.ring.iter().any(|ring| *ring == 127));
+    assert!(cloud.ring.contains(&127));
     assert_eq!(faults.len(), 1, "{faults:?}");
     assert!(
         faults[0].contains("a sweep of 80 of 1024 columns, less than half"),

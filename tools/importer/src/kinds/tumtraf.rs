@@ -103,8 +103,11 @@ fn stamp_of(name: &str) -> Option<Nanos> {
         .checked_add(nanos.filter(|nanos| *nanos < 1_000_000_000)?)
 }
 
+/// Files by their stamps.
+type Files = BTreeMap<Nanos, PathBuf>;
+
 /// Files of a folder by their times.
-fn files(folder: &Path, end: &str) -> Result<BTreeMap<Nanos, PathBuf>, ImportError> {
+fn files(folder: &Path, end: &str) -> Result<Files, ImportError> {
     let names = list(folder)?.files;
     let names = names
         .into_iter()
@@ -236,7 +239,7 @@ impl Layout for TumTrafLayout {
 }
 
 /// LiDARs of a split with their clouds: each by itself, or where there are none, the fused ones.
-fn sensors(split: &Path) -> Result<Vec<(String, BTreeMap<Nanos, PathBuf>)>, ImportError> {
+fn sensors(split: &Path) -> Result<Vec<(String, Files)>, ImportError> {
     let folders = list(&split.join(CLOUDS))?.folders;
     let (fused, single): (Vec<_>, Vec<_>) = folders.into_iter().partition(|folder| name_of(folder).ends_with(FUSED));
     let chosen = if single.is_empty() { fused } else { single };
@@ -245,17 +248,12 @@ fn sensors(split: &Path) -> Result<Vec<(String, BTreeMap<Nanos, PathBuf>)>, Impo
 }
 
 /// A run of labels with the clouds of its sensors.
-fn scene(
-    name: String,
-    run: &[Nanos],
-    labels: &BTreeMap<Nanos, PathBuf>,
-    sensors: &[(String, BTreeMap<Nanos, PathBuf>)],
-) -> Scene {
+fn scene(name: String, run: &[Nanos], labels: &Files, sensors: &[(String, Files)]) -> Scene {
     let kind = |sensor: &str| match sensor.to_lowercase().starts_with("vehicle") {
         true => AgentKind::Vehicle,
         false => AgentKind::Roadside,
     };
-    let mut sorted: Vec<&(String, BTreeMap<Nanos, PathBuf>)> = sensors.iter().collect();
+    let mut sorted: Vec<&(String, Files)> = sensors.iter().collect();
     sorted.sort_by_key(|(sensor, _)| (kind(sensor), sensor.clone()));
     let mut agents: Vec<SceneAgent> = Vec::new();
     for (sensor, clouds) in sorted {
@@ -290,7 +288,7 @@ fn scene(
     }
 }
 
-fn nearest(clouds: &BTreeMap<Nanos, PathBuf>, stamp: Nanos) -> Option<(Nanos, &PathBuf)> {
+fn nearest(clouds: &Files, stamp: Nanos) -> Option<(Nanos, &PathBuf)> {
     let around = clouds.range(stamp.saturating_sub(TOGETHER)..=stamp.saturating_add(TOGETHER));
     let nearest = around.min_by_key(|(at, _)| (*at - stamp).abs());
     nearest.map(|(at, cloud)| (*at, cloud))

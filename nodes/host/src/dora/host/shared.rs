@@ -17,6 +17,7 @@ use crate::dora::HostError;
 use crate::dora::inbox::WakeHandle;
 use crate::dora::load::Load;
 use crate::dora::marks::{End, Hello};
+use crate::stages::Tapped;
 use crate::time::wall_now;
 
 /// What all threads of the process share.
@@ -33,7 +34,7 @@ pub(crate) struct Shared {
     pub(super) wake: WakeHandle,
     /// Who watches the run, and the outputs that are seen.
     pub(super) tap: Option<Tap>,
-    pub(super) tapped: BTreeMap<(usize, PortId), u32>,
+    pub(super) tapped: Tapped,
 }
 
 pub(crate) struct State {

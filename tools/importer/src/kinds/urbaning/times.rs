@@ -99,10 +99,10 @@ fn nanos(text: &str) -> Option<Nanos> {
     }
     let number: i128 = whole.parse().ok()?;
     let decimals: usize = match number {
-        ..=99_999_999_999 => 9,
-        ..=99_999_999_999_999 => 6,
-        ..=99_999_999_999_999_999 => 3,
-        _ => 0,
+        ..100_000_000_000 => 9,
+        100_000_000_000..100_000_000_000_000 => 6,
+        100_000_000_000_000..100_000_000_000_000_000 => 3,
+        100_000_000_000_000_000.. => 0,
     };
     let fraction: String = fraction.chars().chain(std::iter::repeat('0')).take(decimals).collect();
     let part: i128 = if fraction.is_empty() { 0 } else { fraction.parse().ok()? };
