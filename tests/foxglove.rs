@@ -3,7 +3,6 @@
 mod common;
 
 use std::collections::{BTreeMap, BTreeSet};
-use std::fs;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 use std::path::Path;
@@ -11,7 +10,7 @@ use std::process::Command;
 
 use common::python::environment;
 use common::watched::{PATIENCE, Watched, options};
-use common::{folder, json, realo, root, text};
+use common::{assert_same_files, folder, json, realo, root, text};
 use realo_logs::cdr::CdrReader;
 use realo_logs::{Schema, boxes, cloud};
 use serde_json::{Value, json};
@@ -184,15 +183,13 @@ fn a_run_in_virtual_time_is_the_same_to_the_bit_when_viewers_look() {
     assert_eq!(run.close(), Some(0));
     let said = realo(options("late_fusion", &alone, &link));
     assert_eq!(said.status.code(), Some(0), "{}", text(&said.stderr));
-    for file in [
+    let files = [
         "result.json",
         "view_small/cav1/result.json",
         "view_small/cav1/evaluation.json",
         "view_small/cav1/recording.mcap",
-    ] {
-        let [one, other] = [&seen, &alone].map(|out| fs::read(out.join(file)).expect("it is there"));
-        assert!(one == other, "{file} differs");
-    }
+    ];
+    assert_same_files(&seen, &alone, &files);
 }
 
 #[test]

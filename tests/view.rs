@@ -4,13 +4,12 @@
 mod browser;
 mod common;
 
-use std::fs;
 use std::io::{Read, Write};
 use std::net::{TcpListener, TcpStream};
 
 use browser::Browser;
 use common::watched::{PATIENCE, Watched, options};
-use common::{folder, free_port, realo, text};
+use common::{assert_same_files, folder, free_port, realo, text};
 use serde_json::Value;
 
 /// A page as this test plays it.
@@ -82,14 +81,12 @@ fn a_run_in_virtual_time_is_the_same_to_the_bit_when_it_is_watched() {
     assert_eq!(said.status.code(), Some(0), "{}", text(&said.stderr));
     let said = realo(options("late_fusion", &alone, &link));
     assert_eq!(said.status.code(), Some(0), "{}", text(&said.stderr));
-    for file in [
+    let files = [
         "result.json",
         "view_small/cav1/result.json",
         "view_small/cav1/evaluation.json",
-    ] {
-        let [one, other] = [&watched, &alone].map(|out| fs::read(out.join(file)).expect("it is there"));
-        assert!(one == other, "{file} differs");
-    }
+    ];
+    assert_same_files(&watched, &alone, &files);
 }
 
 #[test]

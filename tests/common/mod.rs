@@ -333,3 +333,11 @@ pub fn hangups_are_ignored() -> bool {
     let mask = mask.and_then(|mask| u64::from_str_radix(mask.trim(), 16).ok());
     mask.expect("it has a mask of ignored signals") & 1 == 1
 }
+
+/// Asserts that files of two folders are the same to the bit.
+pub fn assert_same_files(one: &Path, other: &Path, files: &[&str]) {
+    for file in files {
+        let [one, other] = [one, other].map(|folder| fs::read(folder.join(file)).expect("it is there"));
+        assert!(one == other, "{file} differs");
+    }
+}

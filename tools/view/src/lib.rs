@@ -20,6 +20,7 @@
 //! | `listening` | connections, within bounds |
 
 mod address;
+mod awaited;
 mod client;
 mod foxglove;
 mod frames;

@@ -1,8 +1,10 @@
 //! The newest things that were shown, for clients that take them at their own pace.
 
 use std::collections::VecDeque;
-use std::sync::{Arc, Condvar, Mutex, MutexGuard};
+use std::sync::Arc;
 use std::time::Duration;
+
+use crate::awaited::Awaited;
 
 /// Things that are kept.
 const MOST: usize = 300;
@@ -30,8 +32,7 @@ impl Shown {
 /// The newest things of one scene.
 #[derive(Default)]
 pub struct Ring {
-    state: Mutex<State>,
-    changed: Condvar,
+    state: Awaited<State>,
 }
 
 #[derive(Default)]
@@ -67,24 +68,20 @@ pub enum Next {
 }
 
 impl Ring {
-    fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
-    }
-
     /// Begins a new scene: what was shown before goes.
     pub fn open(&self, opening: Shown) {
-        let mut state = self.lock();
+        let mut state = self.state.lock();
         state.first += state.kept.len() as u64;
         state.kept.clear();
         state.bytes = 0;
         state.scene += 1;
         state.opening = Some(opening);
-        self.changed.notify_all();
+        self.state.wake();
     }
 
     /// Shows one thing more.
     pub fn push(&self, shown: Shown) {
-        let mut state = self.lock();
+        let mut state = self.state.lock();
         state.bytes += shown.bytes();
         state.kept.push_back(shown);
         while state.kept.len() > MOST || state.bytes > MOST_BYTES {
@@ -92,30 +89,24 @@ impl Ring {
             state.bytes -= oldest.bytes();
             state.first += 1;
         }
-        self.changed.notify_all();
+        self.state.wake();
     }
 
     /// Nothing more is shown.
     pub fn close(&self) {
-        self.lock().closed = true;
-        self.changed.notify_all();
+        self.state.lock().closed = true;
+        self.state.wake();
     }
 
     /// What a client at this place gets next; waits for it so long at most, or until [`Ring::wake`].
     pub fn next(&self, place: &mut Place, patience: Duration) -> Next {
-        let mut state = self.lock();
-        match state.next(place) {
-            Next::Wait => {}
-            next => return next,
-        }
-        let waited = self.changed.wait_timeout(state, patience);
-        (state, _) = waited.unwrap_or_else(|poisoned| poisoned.into_inner());
-        state.next(place)
+        let is_nothing = |next: &Next| *next == Next::Wait;
+        self.state.next(patience, is_nothing, |state| state.next(place))
     }
 
     /// Lets clients look around.
     pub fn wake(&self) {
-        self.changed.notify_all();
+        self.state.wake();
     }
 }
 
@@ -186,9 +177,9 @@ mod tests {
         let ring = Ring::default();
         ring.open(text("scene"));
         (0..10 * MOST).for_each(|_| ring.push(text("x")));
-        assert_eq!(ring.lock().kept.len(), MOST);
+        assert_eq!(ring.state.lock().kept.len(), MOST);
         (0..10).for_each(|_| ring.push(Shown::Picture(vec![0; MOST_BYTES / 4].into())));
-        let state = ring.lock();
+        let state = ring.state.lock();
         assert!(state.bytes <= MOST_BYTES && state.kept.len() <= 4);
         let summed: usize = state.kept.iter().map(Shown::bytes).sum();
         assert_eq!(state.bytes, summed);

@@ -1,8 +1,10 @@
 //! The channels of a run and its newest messages, for clients that take them at their own pace.
 
 use std::collections::{BTreeMap, VecDeque};
-use std::sync::{Arc, Condvar, Mutex, MutexGuard};
+use std::sync::Arc;
 use std::time::Duration;
+
+use crate::awaited::Awaited;
 
 /// Messages that are kept.
 const MOST: usize = 2048;
@@ -43,8 +45,7 @@ pub struct Run {
 /// What is shown.
 #[derive(Default)]
 pub struct Feed {
-    state: Mutex<State>,
-    changed: Condvar,
+    state: Awaited<State>,
 }
 
 #[derive(Default)]
@@ -90,13 +91,9 @@ pub enum Next {
 }
 
 impl Feed {
-    fn lock(&self) -> MutexGuard<'_, State> {
-        self.state.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
-    }
-
     /// Begins a new run: what was shown before goes.
     pub fn open(&self, name: &str) {
-        let mut state = self.lock();
+        let mut state = self.state.lock();
         state.run = Run {
             number: state.run.number + 1,
             name: name.into(),
@@ -107,12 +104,12 @@ impl Feed {
         state.first += state.kept.len() as u64;
         state.kept.clear();
         state.bytes = 0;
-        self.changed.notify_all();
+        self.state.wake();
     }
 
     /// Adds a channel and gives its number, unless there are too many.
     pub fn channel(&self, topic: &str, schema_name: &str, schema: &str) -> Option<u32> {
-        let mut state = self.lock();
+        let mut state = self.state.lock();
         if state.channels.len() >= MOST_CHANNELS {
             return None;
         }
@@ -124,13 +121,13 @@ impl Feed {
             schema_name: schema_name.into(),
             schema: schema.into(),
         }));
-        self.changed.notify_all();
+        self.state.wake();
         Some(id)
     }
 
     /// Shows a message of a channel of this run. Who comes late gets the newest of each `agent`.
     pub fn send(&self, channel: u32, agent: &str, time: u64, payload: Arc<[u8]>) {
-        let mut state = self.lock();
+        let mut state = self.state.lock();
         if !state.has(channel) {
             return;
         }
@@ -144,18 +141,18 @@ impl Feed {
             state.bytes -= oldest.payload.len();
             state.first += 1;
         }
-        self.changed.notify_all();
+        self.state.wake();
     }
 
     /// Whether a channel is of this run.
     pub fn has(&self, channel: u32) -> bool {
-        self.lock().has(channel)
+        self.state.lock().has(channel)
     }
 
     /// The newest messages of a channel, for who comes late, the oldest first; without those that a client at this place will still come
     /// to.
     pub fn newest(&self, channel: u32, place: &Place) -> Vec<Message> {
-        let state = self.lock();
+        let state = self.state.lock();
         let of_channel = state.newest.iter().filter(|((of, _), _)| *of == channel);
         let mut newest: Vec<_> = of_channel
             .map(|(_, (number, message))| (*number, message))
@@ -167,25 +164,19 @@ impl Feed {
 
     /// Nothing more is shown.
     pub fn close(&self) {
-        self.lock().closed = true;
-        self.changed.notify_all();
+        self.state.lock().closed = true;
+        self.state.wake();
     }
 
     /// What a client at this place gets next; waits for it so long at most, or until [`Feed::wake`].
     pub fn next(&self, place: &mut Place, patience: Duration) -> Next {
-        let mut state = self.lock();
-        match state.next(place) {
-            Next::Wait => {}
-            next => return next,
-        }
-        let waited = self.changed.wait_timeout(state, patience);
-        (state, _) = waited.unwrap_or_else(|poisoned| poisoned.into_inner());
-        state.next(place)
+        let is_nothing = |next: &Next| *next == Next::Wait;
+        self.state.next(patience, is_nothing, |state| state.next(place))
     }
 
     /// Lets clients look around.
     pub fn wake(&self) {
-        self.changed.notify_all();
+        self.state.wake();
     }
 }
 
@@ -254,7 +245,7 @@ mod tests {
         for agent in ["a", "b", "c", "d", "e", "a"] {
             feed.send(channel, agent, 1, cloud.clone());
         }
-        let state = feed.lock();
+        let state = feed.state.lock();
         assert_eq!((state.newest.len(), state.newest_bytes), (3, 3 * cloud.len()));
     }
 
@@ -317,9 +308,9 @@ mod tests {
         while feed.next(&mut place, NOW) != Next::Wait {}
         (0..3 * MOST as u64).for_each(|time| feed.send(channel, "cav1", time, [0; 10].into()));
         assert_eq!(feed.next(&mut place, NOW), Next::Missed(3 * MOST as u64));
-        assert_eq!(feed.lock().kept.len(), MOST);
+        assert_eq!(feed.state.lock().kept.len(), MOST);
         (0..10).for_each(|time| feed.send(channel, "cav1", time, vec![0; MOST_BYTES / 4].into()));
-        let state = feed.lock();
+        let state = feed.state.lock();
         assert!(state.bytes <= MOST_BYTES && state.kept.len() <= 4);
         drop(state);
         let mut more = (0..2 * MOST_CHANNELS).map(|at| feed.channel(&format!("/{at}"), "b", "c"));
