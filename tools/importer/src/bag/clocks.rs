@@ -53,7 +53,6 @@ pub fn joined(import: &Import, small: &Small) -> Result<Clocks, ImportError> {
         let bag = import.bags[import.agents[agent].bag].span().unwrap_or_default();
         [first, first.saturating_add(bag[1].saturating_sub(bag[0]))]
     };
-    let overlap = |a: [Nanos; 2], b: [Nanos; 2]| a[0] <= b[1] && b[0] <= a[1];
     let spans: Vec<[Nanos; 2]> = (0..import.agents.len()).map(span).collect();
     let apart = spans
         .iter()
@@ -84,9 +83,27 @@ pub fn joined(import: &Import, small: &Small) -> Result<Clocks, ImportError> {
             ready: stamp.saturating_sub(own),
         });
     }
+    have_time_in_common(import, &spans, &agents)?;
+    let is_joined = import.agents.iter().any(|agent| agent.bag != import.agents[0].bag);
+    if is_joined && words.is_empty() {
+        words.push(format!(
+            "clocks of the bags: taken as one by {} time; nothing in the bags says otherwise (`offset` in the map file)",
+            import.map.clock.as_str()
+        ));
+    }
+    words.extend(unused);
+    Ok(Clocks { agents, words })
+}
+
+fn overlap(a: [Nanos; 2], b: [Nanos; 2]) -> bool {
+    a[0] <= b[1] && b[0] <= a[1]
+}
+
+/// Refuses agents whose sweeps have no time in common, by all clocks as they were found.
+fn have_time_in_common(import: &Import, spans: &[[Nanos; 2]], agents: &[AgentClock]) -> Result<(), ImportError> {
     let moved: Vec<[Nanos; 2]> = spans
         .iter()
-        .zip(&agents)
+        .zip(agents)
         .map(|(span, clock)| span.map(|time| time.saturating_add(clock.stamp)))
         .collect();
     for (place, span) in moved.iter().enumerate() {
@@ -107,15 +124,7 @@ pub fn joined(import: &Import, small: &Small) -> Result<Clocks, ImportError> {
             return Err(ImportError::content(path, reason));
         }
     }
-    let is_joined = import.agents.iter().any(|agent| agent.bag != import.agents[0].bag);
-    if is_joined && words.is_empty() {
-        words.push(format!(
-            "clocks of the bags: taken as one by {} time; nothing in the bags says otherwise (`offset` in the map file)",
-            import.map.clock.as_str()
-        ));
-    }
-    words.extend(unused);
-    Ok(Clocks { agents, words })
+    Ok(())
 }
 
 /// Log time less stamp of the quickest of an agent's first clouds, ns.
@@ -171,6 +180,19 @@ fn of_bags(
             .collect(),
     ];
     let composed = composed(given(import, 0), &offsets);
+    say_offsets(import, &references, &joined, &composed, words);
+    Ok(composed)
+}
+
+/// Says by what the offset of each bag was found.
+fn say_offsets(
+    import: &Import,
+    references: &[Option<Reference>],
+    joined: &[Option<Joined>],
+    composed: &[Option<Nanos>],
+    words: &mut Vec<String>,
+) {
+    let path = |bag: usize| import.bags[bag].path();
     let first = path(0).display();
     let is_back = given(import, 0).is_none() && references[0].is_none() && composed[0].is_some();
     for (bag, offset) in composed.iter().enumerate() {
@@ -211,7 +233,6 @@ fn of_bags(
             }
         }
     }
-    Ok(composed)
 }
 
 /// The offset that the map file gives to a bag: of its first agent, where all have one, ns.

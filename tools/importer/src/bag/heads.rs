@@ -56,8 +56,7 @@ pub fn heads(import: &Import, agent: &Agent, topic: &Topic) -> Result<Heads, Imp
             "expected clouds, found no message; name another topic in the map file".into(),
         ));
     }
-    let (mut looks, mut brightest, mut stamps) = (Vec::<Look>::new(), 0f32, Vec::new());
-    let mut reason = None;
+    let (mut readers, mut stamps, mut reason) = (Vec::new(), Vec::new(), None);
     for message in &looked {
         let read = connection
             .reader_of(message)
@@ -66,55 +65,50 @@ pub fn heads(import: &Import, agent: &Agent, topic: &Topic) -> Result<Heads, Imp
             Ok(mut reader) => {
                 reader.stamp = stamp_of(import.map.clock, reader.stamp, message.log_time);
                 stamps.push([reader.stamp, message.log_time]);
-                brightest = brightest.max(reader.brightest().unwrap_or(0.0));
-                looks.extend(reader.look());
+                readers.push(reader);
             }
             Err(error) => reason = Some(error),
         }
     }
-    let mut found: Option<Heads> = None;
-    for message in &looked {
-        let read = connection
-            .reader_of(message)
-            .and_then(|mut input| CloudReader::read(&mut input));
-        let Ok(mut reader) = read else { continue };
-        reader.stamp = stamp_of(import.map.clock, reader.stamp, message.log_time);
-        let heads = match &mut found {
-            Some(heads) => heads,
-            None => {
-                let times = reader.time_rule(&looks).map_err(wrong)?;
-                let kind = reader.intensity().unwrap_or_default();
-                let scale = intensity_scale(kind, brightest);
-                found.insert(Heads {
-                    scale,
-                    times,
-                    time_words: match (reader.time(), times) {
-                        (Some((field, kind)), Some(rule)) => format!("`{field}` ({kind}), {rule}"),
-                        _ => "none: all points of a sweep are at its stamp".into(),
-                    },
-                    intensity_words: match kind {
-                        "" => "none: 0".into(),
-                        kind => format!("{kind}, times {scale}"),
-                    },
-                    stamps: std::mem::take(&mut stamps),
-                    first: Vec::new(),
-                })
-            }
-        };
-        if heads.first.len() < GROUNDS {
-            let reading = Reading {
-                scale: heads.scale,
-                times: heads.times,
-                to: None,
-            };
-            let (cloud, _) = reader.cloud(&reading).map_err(wrong)?;
-            heads.first.push((reader.stamp, bare(reader.frame).into(), cloud));
-        }
+    if readers.is_empty() {
+        let reason = reason.unwrap_or_default();
+        return Err(wrong(format!("its first clouds cannot be read: {reason}")));
     }
-    found.ok_or_else(|| {
-        wrong(format!(
-            "its first clouds cannot be read: {}",
-            reason.unwrap_or_default()
-        ))
-    })
+    let mut heads = Heads::of(&readers, stamps).map_err(wrong)?;
+    let reading = Reading {
+        scale: heads.scale,
+        times: heads.times,
+        to: None,
+    };
+    for reader in readers.iter().take(GROUNDS) {
+        let (cloud, _) = reader.cloud(&reading).map_err(wrong)?;
+        heads.first.push((reader.stamp, bare(reader.frame).into(), cloud));
+    }
+    Ok(heads)
+}
+
+impl Heads {
+    /// By the fields of the first cloud and the values of all; yet without clouds. At least one reader.
+    fn of(readers: &[CloudReader], stamps: Vec<[Nanos; 2]>) -> Result<Heads, String> {
+        let looks: Vec<Look> = readers.iter().flat_map(CloudReader::look).collect();
+        let brightest = readers.iter().filter_map(CloudReader::brightest).fold(0.0, f32::max);
+        let first = &readers[0];
+        let times = first.time_rule(&looks)?;
+        let kind = first.intensity().unwrap_or_default();
+        let scale = intensity_scale(kind, brightest);
+        Ok(Heads {
+            scale,
+            times,
+            time_words: match (first.time(), times) {
+                (Some((field, kind)), Some(rule)) => format!("`{field}` ({kind}), {rule}"),
+                _ => "none: all points of a sweep are at its stamp".into(),
+            },
+            intensity_words: match kind {
+                "" => "none: 0".into(),
+                kind => format!("{kind}, times {scale}"),
+            },
+            stamps,
+            first: Vec::new(),
+        })
+    }
 }

@@ -192,89 +192,119 @@ fn is_in_all(import: &Import, connection: &Connection) -> bool {
 
 impl Small {
     fn take(&mut self, import: &Import, bag: usize, connection: &Connection, message: &Message) -> Result<(), String> {
-        let data = message.data();
         let known = &mut self.bags[bag];
         // Each recorder writes static transforms when it starts, so their log times say nothing of clocks.
-        let is_compared = import.bags.len() > 1 && !is_static(&connection.topic);
-        if is_compared && data.len() <= COMPARED && known.seen.len() < MOST_COMPARED {
-            let log_time = message.log_time;
-            let seen = known.seen.entry(hash(&connection.topic, data));
-            seen.and_modify(|seen| *seen = None).or_insert(Some(log_time));
+        if import.bags.len() > 1 && !is_static(&connection.topic) {
+            known.see(&connection.topic, message);
         }
-        let begin = || connection.reader(data);
-        let clock = import.map.clock;
-        let stamped = |stamp: Nanos| stamp_of(clock, stamp, message.log_time);
         let Some(kind) = Kind::named(&connection.kind) else {
             return Ok(());
         };
+        let clock = import.map.clock;
+        let stamped = |stamp: Nanos| stamp_of(clock, stamp, message.log_time);
         match kind {
-            Kind::Transforms => {
-                let fixed = is_static(&connection.topic);
-                let (transforms, wrong) = messages::transforms(&mut begin()?)?;
-                for t in transforms {
-                    let stamp = stamped(t.stamp);
-                    known
-                        .frames
-                        .insert(fixed, stamp, &t.parent, &t.child, t.parent_from_child);
-                    if !fixed {
-                        known.moving.entry(stamp).or_insert(message.log_time);
-                    }
-                }
-                if wrong > 0 {
-                    return Err("a transform that is not finite, or whose quaternion is not of length 1".into());
-                }
-                return Ok(());
-            }
-            Kind::TimeReference => {
-                let ([stamp, reference], source) = messages::time_reference(&mut begin()?)?;
-                let offset = reference.saturating_sub(stamped(stamp));
-                let of_source = known.references.entry([connection.topic.clone(), source]);
-                of_source.or_default().push([offset, reference]);
-                return Ok(());
-            }
+            Kind::Transforms => return known.take_transforms(connection, message, &stamped),
+            Kind::TimeReference => return known.take_reference(connection, message, &stamped),
             _ => {}
         }
-        for (agent, small) in import
-            .agents
-            .iter()
-            .zip(&mut self.agents)
-            .filter(|(agent, _)| agent.bag == bag)
-        {
-            let is = |topic: &Option<Topic>| {
-                topic
-                    .as_ref()
-                    .is_some_and(|topic| topic.connection == message.connection)
+        let agents = import.agents.iter().zip(&mut self.agents);
+        for (agent, small) in agents.filter(|(agent, _)| agent.bag == bag) {
+            small.take(agent, connection, message, kind, &stamped)?;
+        }
+        Ok(())
+    }
+}
+
+impl BagSmall {
+    /// Remembers a message that other bags may have, too.
+    fn see(&mut self, topic: &str, message: &Message) {
+        let data = message.data();
+        if data.len() <= COMPARED && self.seen.len() < MOST_COMPARED {
+            let seen = self.seen.entry(hash(topic, data));
+            seen.and_modify(|seen| *seen = None).or_insert(Some(message.log_time));
+        }
+    }
+
+    fn take_transforms(
+        &mut self,
+        connection: &Connection,
+        message: &Message,
+        stamped: &impl Fn(Nanos) -> Nanos,
+    ) -> Result<(), String> {
+        let fixed = is_static(&connection.topic);
+        let (transforms, wrong) = messages::transforms(&mut connection.reader(message.data())?)?;
+        for t in transforms {
+            let stamp = stamped(t.stamp);
+            self.frames
+                .insert(fixed, stamp, &t.parent, &t.child, t.parent_from_child);
+            if !fixed {
+                self.moving.entry(stamp).or_insert(message.log_time);
+            }
+        }
+        match wrong {
+            0 => Ok(()),
+            _ => Err("a transform that is not finite, or whose quaternion is not of length 1".into()),
+        }
+    }
+
+    fn take_reference(
+        &mut self,
+        connection: &Connection,
+        message: &Message,
+        stamped: &impl Fn(Nanos) -> Nanos,
+    ) -> Result<(), String> {
+        let ([stamp, reference], source) = messages::time_reference(&mut connection.reader(message.data())?)?;
+        let offset = reference.saturating_sub(stamped(stamp));
+        let of_source = self.references.entry([connection.topic.clone(), source]);
+        of_source.or_default().push([offset, reference]);
+        Ok(())
+    }
+}
+
+impl AgentSmall {
+    /// Takes what a message says, by the agent's topics that it is of.
+    fn take(
+        &mut self,
+        agent: &Agent,
+        connection: &Connection,
+        message: &Message,
+        kind: Kind,
+        stamped: &impl Fn(Nanos) -> Nanos,
+    ) -> Result<(), String> {
+        let begin = || connection.reader(message.data());
+        let log_time = message.log_time;
+        let is = |topic: &Option<Topic>| {
+            let topic = topic.as_ref();
+            topic.is_some_and(|topic| topic.connection == message.connection)
+        };
+        if is(&agent.pose) && kind == Kind::NavSatFix {
+            let mut said = messages::fix(&mut begin()?)?;
+            said.stamp = stamped(said.stamp);
+            self.fixes.push(At { log_time, said });
+        } else if is(&agent.pose) {
+            let mut said = messages::pose(kind, &mut begin()?)?;
+            said.stamp = stamped(said.stamp);
+            self.poses.push(At { log_time, said });
+        }
+        if is(&agent.imu) {
+            let mut said = messages::attitude(&mut begin()?)?;
+            said.stamp = stamped(said.stamp);
+            self.attitudes.push(said);
+        }
+        self.motion.take(agent, connection, message, kind, stamped)?;
+        let objects = || -> Result<At<Objects>, String> {
+            let mut said = match kind {
+                Kind::MarkerArray => messages::markers(begin)?,
+                _ => messages::detections(begin)?,
             };
-            let log_time = message.log_time;
-            if is(&agent.pose) && kind == Kind::NavSatFix {
-                let mut said = messages::fix(&mut begin()?)?;
-                said.stamp = stamped(said.stamp);
-                small.fixes.push(At { log_time, said });
-            } else if is(&agent.pose) {
-                let mut said = messages::pose(kind, &mut begin()?)?;
-                said.stamp = stamped(said.stamp);
-                small.poses.push(At { log_time, said });
-            }
-            if is(&agent.imu) {
-                let mut said = messages::attitude(&mut begin()?)?;
-                said.stamp = stamped(said.stamp);
-                small.attitudes.push(said);
-            }
-            small.motion.take(agent, connection, message, kind, &stamped)?;
-            let objects = || -> Result<At<Objects>, String> {
-                let mut said = match kind {
-                    Kind::MarkerArray => messages::markers(begin)?,
-                    _ => messages::detections(begin)?,
-                };
-                said.stamp = stamped(said.stamp);
-                Ok(At { log_time, said })
-            };
-            if is(&agent.truth) {
-                small.truth.push(objects()?);
-            }
-            if is(&agent.detections) {
-                small.detections.push(objects()?);
-            }
+            said.stamp = stamped(said.stamp);
+            Ok(At { log_time, said })
+        };
+        if is(&agent.truth) {
+            self.truth.push(objects()?);
+        }
+        if is(&agent.detections) {
+            self.detections.push(objects()?);
         }
         Ok(())
     }

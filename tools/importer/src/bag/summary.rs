@@ -71,6 +71,47 @@ pub struct BagSummary {
     pub world: String,
 }
 
+impl fmt::Display for BagAgent {
+    fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        let BagAgent {
+            name,
+            sweeps,
+            points,
+            poses,
+            ..
+        } = self;
+        write!(
+            f,
+            "`{name}`: {sweeps} sweeps of {}, {points} points, {poses} poses",
+            printable(&self.clouds)
+        )?;
+        if self.truths > 0 {
+            let moved = self.moved_truths;
+            write!(f, ", {} sweeps with truth ({moved} moved to their time)", self.truths)?;
+        }
+        if self.detections > 0 {
+            write!(f, ", {} sweeps with detections", self.detections)?;
+        }
+        write!(f, "\n  poses: {}", printable(&self.pose_words))?;
+        if self.covariances > 0 {
+            write!(f, "; {} with a covariance", self.covariances)?;
+        }
+        if self.motion != [0; 3] {
+            let [imu, fixes, wheels] = self.motion;
+            write!(
+                f,
+                "\n  motion sensors: {imu} samples of the inertial unit, {fixes} positions, {wheels} speeds of the wheels"
+            )?;
+        }
+        write!(
+            f,
+            "\n  frame {:.2} m over the ground; times: {}",
+            self.height_m, self.times
+        )?;
+        write!(f, "\n  intensities: {}", self.intensities)
+    }
+}
+
 impl fmt::Display for BagSummary {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         let lines = |f: &mut fmt::Formatter, head: &str, lines: &[String]| {
@@ -86,45 +127,7 @@ impl fmt::Display for BagSummary {
         }
         write!(f, "{}", self.world)?;
         for agent in &self.agents {
-            let BagAgent {
-                name,
-                sweeps,
-                points,
-                poses,
-                ..
-            } = agent;
-            write!(
-                f,
-                "\n`{name}`: {sweeps} sweeps of {}, {points} points, {poses} poses",
-                printable(&agent.clouds)
-            )?;
-            if agent.truths > 0 {
-                write!(
-                    f,
-                    ", {} sweeps with truth ({} moved to their time)",
-                    agent.truths, agent.moved_truths
-                )?;
-            }
-            if agent.detections > 0 {
-                write!(f, ", {} sweeps with detections", agent.detections)?;
-            }
-            write!(f, "\n  poses: {}", printable(&agent.pose_words))?;
-            if agent.covariances > 0 {
-                write!(f, "; {} with a covariance", agent.covariances)?;
-            }
-            if agent.motion != [0; 3] {
-                let [imu, fixes, wheels] = agent.motion;
-                write!(
-                    f,
-                    "\n  motion sensors: {imu} samples of the inertial unit, {fixes} positions, {wheels} speeds of the wheels"
-                )?;
-            }
-            write!(
-                f,
-                "\n  frame {:.2} m over the ground; times: {}",
-                agent.height_m, agent.times
-            )?;
-            write!(f, "\n  intensities: {}", agent.intensities)?;
+            write!(f, "\n{agent}")?;
         }
         for clock in &self.clocks {
             write!(f, "\n{}", printable(clock))?;

@@ -9,7 +9,7 @@ use realo_logs::{MapOrigin, bare};
 use realo_schemas::geometry::interpolate;
 use realo_schemas::{Nanos, to_millis, to_seconds};
 
-use super::agents::Agent;
+use super::agents::{Agent, Topic};
 use super::small::{At, BagSmall, Small};
 use super::{Counted, Import};
 use crate::ImportError;
@@ -137,71 +137,86 @@ pub fn track(
             let origin = origin.ok_or_else(|| wrong(format!("expected positions on `{}`, found none", topic.name)))?;
             of_fixes(agent, bag, &ours.fixes, &ours.attitudes, &origin, &topic.name)
         }
-        (_, Some(topic)) => {
-            let (mut poses, mut covariances) = (Vec::new(), BTreeMap::new());
-            let mut words = BTreeWords::default();
-            for At { log_time, said } in &ours.poses {
-                let stamp = said.stamp;
-                let world = bare(&import.map.world);
-                let frame = bare(&said.frame);
-                let world_from_frame = match frame == world || frame.is_empty() {
-                    true => Ok(Isometry3::identity()),
-                    false => way(&bag.frames, world, frame, stamp),
-                };
-                let child = said
-                    .child
-                    .as_deref()
-                    .map(bare)
-                    .filter(|child| *child != bare(&agent.map.frame));
-                let child_from_frame = match child {
-                    None => Isometry3::identity(),
-                    Some(child) => way(&bag.frames, child, &agent.map.frame, stamp).unwrap_or_else(|_| {
-                        words.add(format!(
-                            "its child `{child}` is taken as `{}`: no transform leads there",
-                            agent.map.frame
-                        ));
-                        Isometry3::identity()
-                    }),
-                };
-                match world_from_frame {
-                    Ok(from) => {
-                        let pose = from * said.frame_from_child * child_from_frame;
-                        covariances.extend(covariance(said, &from, &child_from_frame).map(|known| (stamp, known)));
-                        poses.push((stamp, *log_time, pose));
-                    }
-                    Err(reason) => faults.add(
-                        &topic.name,
-                        format!("poses are in `{frame}`, and nothing leads to the world `{world}`: {reason}"),
-                    ),
-                }
-            }
-            if poses.is_empty() {
-                let frames: std::collections::BTreeSet<&str> =
-                    ours.poses.iter().map(|pose| bare(&pose.said.frame)).take(100).collect();
-                let frames: Vec<&str> = frames.into_iter().collect();
-                return Err(wrong(match frames[..] {
-                    [] => format!(
-                        "expected poses on `{}`, found none that can be read; name another topic, or `pose: tf`",
-                        topic.name
-                    ),
-                    _ => format!(
-                        "its poses are in `{}`, expected the world `{}`, and no transform leads there; write `world: {}` in the map file",
-                        frames.join("` and `"),
-                        import.map.world,
-                        frames[0]
-                    ),
-                }));
-            }
-            Track {
-                covariances,
-                ..Track::moving(poses, format!("`{}` ({}){words}", topic.name, words_of(topic.kind)))
-            }
-        }
+        (_, Some(topic)) => of_poses(import, agent, bag, &ours.poses, topic, faults).map_err(wrong)?,
         (_, None) => of_transforms(import, agent, bag, ours.heads[0].stamps[0][0], faults).map_err(wrong)?,
     };
     match track.poses.is_empty() {
         true => Err(wrong(format!("expected poses, found none in {}", track.words))),
         false => Ok(track),
+    }
+}
+
+/// Poses of a topic, in the world and of the agent's frame.
+fn of_poses(
+    import: &Import,
+    agent: &Agent,
+    bag: &BagSmall,
+    said: &[At<Pose>],
+    topic: &Topic,
+    faults: &mut Counted,
+) -> Result<Track, String> {
+    let (mut poses, mut covariances) = (Vec::new(), BTreeMap::new());
+    let mut words = BTreeWords::default();
+    let world = bare(&import.map.world);
+    for At { log_time, said } in said {
+        let stamp = said.stamp;
+        let frame = bare(&said.frame);
+        let world_from_frame = match frame == world || frame.is_empty() {
+            true => Ok(Isometry3::identity()),
+            false => way(&bag.frames, world, frame, stamp),
+        };
+        let child_from_frame = child_from_frame(agent, bag, said, &mut words);
+        match world_from_frame {
+            Ok(from) => {
+                let pose = from * said.frame_from_child * child_from_frame;
+                covariances.extend(covariance(said, &from, &child_from_frame).map(|known| (stamp, known)));
+                poses.push((stamp, *log_time, pose));
+            }
+            Err(reason) => faults.add(
+                &topic.name,
+                format!("poses are in `{frame}`, and nothing leads to the world `{world}`: {reason}"),
+            ),
+        }
+    }
+    if poses.is_empty() {
+        return Err(no_poses(import, said, topic));
+    }
+    Ok(Track {
+        covariances,
+        ..Track::moving(poses, format!("`{}` ({}){words}", topic.name, words_of(topic.kind)))
+    })
+}
+
+/// Where the agent's frame lies in the frame that a message gives the pose of.
+fn child_from_frame(agent: &Agent, bag: &BagSmall, said: &Pose, words: &mut BTreeWords) -> Isometry3<f64> {
+    let frame = &agent.map.frame;
+    let child = said.child.as_deref().map(bare).filter(|child| *child != bare(frame));
+    let Some(child) = child else {
+        return Isometry3::identity();
+    };
+    way(&bag.frames, child, frame, said.stamp).unwrap_or_else(|_| {
+        words.add(format!(
+            "its child `{child}` is taken as `{frame}`: no transform leads there"
+        ));
+        Isometry3::identity()
+    })
+}
+
+/// Why a topic gives no pose of the world.
+fn no_poses(import: &Import, said: &[At<Pose>], topic: &Topic) -> String {
+    let frames: std::collections::BTreeSet<&str> = said.iter().map(|pose| bare(&pose.said.frame)).take(100).collect();
+    let frames: Vec<&str> = frames.into_iter().collect();
+    match frames[..] {
+        [] => format!(
+            "expected poses on `{}`, found none that can be read; name another topic, or `pose: tf`",
+            topic.name
+        ),
+        _ => format!(
+            "its poses are in `{}`, expected the world `{}`, and no transform leads there; write `world: {}` in the map file",
+            frames.join("` and `"),
+            import.map.world,
+            frames[0]
+        ),
     }
 }
 
@@ -326,27 +341,7 @@ fn of_fixes(
 ) -> Track {
     let mut words = BTreeWords::default();
     let frame = &agent.map.frame;
-    let mut known: Vec<(Nanos, UnitQuaternion<f64>)> = Vec::new();
-    for attitude in attitudes {
-        let Some(world_from_unit) = attitude.world_from_unit else {
-            continue;
-        };
-        let frame_from_unit = match bare(&attitude.frame) == bare(frame) {
-            true => UnitQuaternion::identity(),
-            false => way(&bag.frames, frame, &attitude.frame, attitude.stamp).map_or_else(
-                |_| {
-                    words.add(format!(
-                        "the unit's frame `{}` is taken as `{frame}`: no transform leads there",
-                        attitude.frame
-                    ));
-                    UnitQuaternion::identity()
-                },
-                |pose| pose.rotation,
-            ),
-        };
-        known.push((attitude.stamp, world_from_unit * frame_from_unit.inverse()));
-    }
-    known.sort_by_key(|(stamp, _)| *stamp);
+    let known = rotations(frame, bag, attitudes, &mut words);
     let places: Vec<(Nanos, Nanos, Vector3<f64>, &str)> = fixes
         .iter()
         .filter_map(|fix| {
@@ -385,6 +380,37 @@ fn of_fixes(
         poses.push((*stamp, *log_time, Isometry3::from_parts(origin, rotation)));
     }
     Track::moving(poses, format!("positions on `{topic}`, attitude by the {by}{words}"))
+}
+
+/// Rotations of the agent's frame in the world, by its inertial unit, in order of time.
+fn rotations(
+    frame: &str,
+    bag: &BagSmall,
+    attitudes: &[Attitude],
+    words: &mut BTreeWords,
+) -> Vec<(Nanos, UnitQuaternion<f64>)> {
+    let mut known = Vec::new();
+    for attitude in attitudes {
+        let Some(world_from_unit) = attitude.world_from_unit else {
+            continue;
+        };
+        let frame_from_unit = match bare(&attitude.frame) == bare(frame) {
+            true => UnitQuaternion::identity(),
+            false => way(&bag.frames, frame, &attitude.frame, attitude.stamp).map_or_else(
+                |_| {
+                    words.add(format!(
+                        "the unit's frame `{}` is taken as `{frame}`: no transform leads there",
+                        attitude.frame
+                    ));
+                    UnitQuaternion::identity()
+                },
+                |pose| pose.rotation,
+            ),
+        };
+        known.push((attitude.stamp, world_from_unit * frame_from_unit.inverse()));
+    }
+    known.sort_by_key(|(stamp, _)| *stamp);
+    known
 }
 
 fn nearest<T: Copy>(known: &[(Nanos, T)], stamp: Nanos) -> Option<(Nanos, T)> {
