@@ -51,7 +51,7 @@ pub(crate) fn not_mcap(path: &Path, head: &[u8]) -> String {
 }
 
 /// How a bag becomes a log.
-fn imported(path: &Path) -> String {
+pub(crate) fn imported(path: &Path) -> String {
     format!(
         "`realo-lab import bag {} -o LOG` makes a log of it; topics of other types: {GUIDE}",
         path.display()
@@ -78,7 +78,12 @@ pub(crate) fn folder(path: &Path) -> String {
     files.sort();
     let metadata = of_metadata(path);
     let what = match (&metadata, files.is_empty()) {
-        (None, true) => return "it is a folder; expected an MCAP file".into(),
+        (None, true) => {
+            return format!(
+                "it is a folder; expected an MCAP file. If it is a data set, `realo-lab import auto {}` says which, and how it becomes a log",
+                path.display()
+            );
+        }
         (None, false) => format!("it is a folder (files: {})", files.join(", ")),
         (Some(_), _) => format!("it is the folder of a bag of ROS 2 (files: {})", files.join(", ")),
     };

@@ -23,6 +23,8 @@ pub enum Owner {
     Nobody,
     /// A log that realo wrote.
     Log,
+    /// A log that another program wrote, such as one with `realo_log.py`.
+    OtherLog,
     /// A recording of a run.
     Recording,
     /// An MCAP file of another program.
@@ -69,7 +71,10 @@ fn of_head(head: &[u8]) -> Owner {
     while let Some((opcode, body, behind)) = record(rest) {
         match opcode {
             HEADER => {}
-            METADATA if is_named(body, LOG_RECORD) => return Owner::Log,
+            METADATA if is_named(body, LOG_RECORD) => {
+                let is_ours = program_of(&body[4 + LOG_RECORD.len()..]).is_none_or(|name| name.starts_with("realo "));
+                return if is_ours { Owner::Log } else { Owner::OtherLog };
+            }
             METADATA if is_named(body, RECORDING_RECORD) => return Owner::Recording,
             METADATA => {}
             _ => break,
@@ -95,6 +100,24 @@ fn is_named(metadata: &[u8], name: &str) -> bool {
         .is_some_and(|rest| rest.starts_with(name.as_bytes()))
 }
 
+/// The program of a log, by the entries of its record: `None` of a file that is cut within them.
+fn program_of(entries: &[u8]) -> Option<&str> {
+    let mut rest = entries.get(4..)?;
+    let mut text = || {
+        let (length, behind) = rest.split_at_checked(4)?;
+        let length = u32::from_le_bytes(length.try_into().ok()?) as usize;
+        let (text, behind) = behind.split_at_checked(length)?;
+        rest = behind;
+        std::str::from_utf8(text).ok()
+    };
+    loop {
+        let (key, value) = (text()?, text()?);
+        if key == "program" {
+            return Some(value);
+        }
+    }
+}
+
 /// Refuses to write a log or a recording over a file that realo did not write.
 ///
 /// # Errors
@@ -102,6 +125,7 @@ fn is_named(metadata: &[u8], name: &str) -> bool {
 pub fn refuse_foreign(path: &Path) -> Result<(), LogError> {
     let found = match Owner::of(path).map_err(LogError::io(path, "look at"))? {
         Owner::Nobody | Owner::Log | Owner::Recording => return Ok(()),
+        Owner::OtherLog => "a log that another program wrote, which nothing here could write again",
         Owner::OtherMcap => "an MCAP file of another program",
         Owner::Pipe => "a pipe or a socket",
         Owner::Other => "a file that is not an MCAP file",
@@ -135,11 +159,18 @@ mod tests {
             sensor: String::new(),
             sensor_position: None,
         };
-        LogWriter::create(&log, &LogInfo::new("a test", vec![agent]))
+        LogWriter::create(&log, &LogInfo::new("a test", vec![agent.clone()]))
             .unwrap()
             .finish()
             .unwrap();
         assert_eq!(Owner::of(&log).unwrap(), Owner::Log);
+        let mut info = LogInfo::new("our car", vec![agent]);
+        info.program = "realo_log.py".into();
+        let other = folder.path().join("other.mcap");
+        LogWriter::create(&other, &info).unwrap().finish().unwrap();
+        assert_eq!(Owner::of(&other).unwrap(), Owner::OtherLog);
+        let said = refuse_foreign(&other).unwrap_err().to_string();
+        assert!(said.contains("a log that another program wrote"), "{said}");
         let bytes = std::fs::read(&log).unwrap();
         assert_eq!(Owner::of(&at("cut", &bytes[..bytes.len() / 2])).unwrap(), Owner::Log);
         refuse_foreign(&log).unwrap();

@@ -1,13 +1,13 @@
 //! The files of a run's folder.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs::File;
 use std::io::{ErrorKind, Write};
 use std::path::{Path, PathBuf};
 
 use realo_schemas::report::Phase;
-use serde::Serialize;
 use serde::de::DeserializeOwned;
+use serde::{Deserialize, Serialize};
 use serde_json::Value;
 
 use crate::localization::TUM;
@@ -130,6 +130,32 @@ pub fn read_run(folder: impl AsRef<Path>) -> Result<Run, FilesError> {
         timing: read(&folder.join(TIMING_FILE), TIMING)?,
         samples: read(&folder.join(SAMPLES_FILE), SAMPLES)?,
     })
+}
+
+/// Which logs and egos a result is of.
+#[derive(Debug, Deserialize)]
+struct Played {
+    logs: BTreeSet<String>,
+    egos: BTreeSet<String>,
+}
+
+impl Played {
+    /// By the result of a folder, whatever its version; `None` of a folder without one that can be read.
+    fn of(folder: &Path) -> Option<Self> {
+        let file = folder.join(RESULT_FILE);
+        // Whoever opens a pipe waits for its other end.
+        std::fs::metadata(&file).ok().filter(|found| found.is_file())?;
+        serde_json::from_slice(&std::fs::read(file).ok()?).ok()
+    }
+}
+
+/// Leaves of the folders of single runs those of which the result of a batch is the sum: a batch before it may have had other
+/// logs and egos, whose folders are there still. All stay where `sum` has no result.
+pub fn retain_parts(sum: &Path, singles: &mut Vec<PathBuf>) {
+    let Some(sum) = Played::of(sum) else { return };
+    singles.retain(|single| {
+        Played::of(single).is_some_and(|own| own.logs.is_subset(&sum.logs) && own.egos.is_subset(&sum.egos))
+    });
 }
 
 /// The folder that is meant by a path: that of a run's file, else the path itself.
@@ -353,6 +379,30 @@ fn read<T: DeserializeOwned>(file: &Path, schema: &'static str) -> Result<T, Fil
 mod tests {
     use super::*;
     use crate::{RunResult, Samples, Settings, Timing};
+
+    #[test]
+    fn a_sum_is_of_the_folders_of_its_logs_and_egos() {
+        let root = tempfile::tempdir().unwrap();
+        let played = |folder: &str, logs: &[&str], ego: &str| {
+            let folder = root.path().join(folder);
+            std::fs::create_dir_all(&folder).unwrap();
+            let text = serde_json::json!({ "logs": logs, "egos": [ego], "version": 0 }).to_string();
+            std::fs::write(folder.join(RESULT_FILE), text).unwrap();
+            folder
+        };
+        let singles = [
+            played("a/car", &["a"], "car"),
+            played("a/bus", &["a"], "bus"),
+            played("old/car", &["old"], "car"),
+            root.path().join("b/car"),
+        ];
+        let mut all = singles.to_vec();
+        retain_parts(root.path(), &mut all);
+        assert_eq!(all, singles, "there is no sum yet");
+        played("", &["a", "b"], "car");
+        retain_parts(root.path(), &mut all);
+        assert_eq!(all, singles[..1]);
+    }
 
     fn run(graph: &str) -> Run {
         let settings = Settings {

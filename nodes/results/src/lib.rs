@@ -29,7 +29,7 @@ pub use causes::named_counters;
 pub use cooperation::{Cooperation, UNUSED, Unused};
 pub use distribution::{Ages, Spread};
 pub use error::ResultsError;
-pub use files::{FilesError, RESULT_FILE, claim, earlier, read_run, run_folder, write_result, write_run};
+pub use files::{FilesError, RESULT_FILE, claim, earlier, read_run, retain_parts, run_folder, write_result, write_run};
 /// What scores are made of: types of [`RunResult`] and [`Samples`].
 pub use realo_scoring as scoring;
 

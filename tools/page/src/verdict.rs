@@ -108,12 +108,28 @@ fn ranking(scored: &[Scored], iou: &str) -> String {
                 second.name,
                 second.value(),
                 match same_logs {
-                    true => certainty(first, second),
-                    false => "They are not of the same logs, egos and protocol, so this does not say which is better.",
+                    true => certainty(first, second).into(),
+                    false => format!(
+                        "They are not of the same {}, so this does not say which is better.",
+                        apart(&order)
+                    ),
                 }
             )
         }
     }
+}
+
+/// What runs have been scored on that is not the same for all.
+fn apart(scored: &[&Scored]) -> String {
+    let (protocol, logs, egos) = scored[0].scope();
+    let all = |is_same: &dyn Fn(&Scored) -> bool| scored.iter().all(|one| is_same(one));
+    let parts = [
+        ("logs", all(&|one| one.scope().1 == logs)),
+        ("egos", all(&|one| one.scope().2 == egos)),
+        ("protocol", all(&|one| one.scope().0 == protocol)),
+    ];
+    let apart: Vec<&str> = parts.iter().filter(|(_, same)| !same).map(|(name, _)| *name).collect();
+    apart.join(" and ")
 }
 
 fn three(value: f64) -> i64 {
@@ -321,7 +337,7 @@ mod tests {
         let said = &said[0];
         assert!(said.starts_with("late has the highest score"), "{said}");
         assert!(
-            said.contains("not of the same logs") && !said.contains("is best"),
+            said.contains("not of the same logs, so") && !said.contains("is best"),
             "{said}"
         );
     }

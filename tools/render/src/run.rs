@@ -3,7 +3,7 @@ mod recorded;
 use std::path::{Path, PathBuf};
 
 use realo_logs::Log;
-use realo_results::{Run, RunResult, read_run, run_folder};
+use realo_results::{Run, RunResult, read_run, retain_parts, run_folder};
 use realo_schemas::report::Crossing;
 use realo_schemas::{GroundTruth, Header, Nanos};
 use realo_scoring::Protocol;
@@ -137,7 +137,7 @@ fn runs(request: &Request) -> Result<Vec<(PathBuf, Run)>, RenderError> {
     Ok(runs)
 }
 
-/// The folders of single runs, of one log and ego each: this one, or `<log>/<ego>` below.
+/// The folders of single runs, of one log and ego each: this one, or those `<log>/<ego>` below that its result is the sum of.
 ///
 /// # Errors
 /// A folder without a complete run.
@@ -157,6 +157,7 @@ pub fn single_runs(run: &Path) -> Result<Vec<PathBuf>, RenderError> {
         .map(|folder| folder.join(kept))
         .filter(|folder| folder.join(RECORDING).exists() || folder.join("result.json").exists())
         .collect();
+    retain_parts(run, &mut found);
     found.sort();
     if found.is_empty() {
         read_run(run)?;

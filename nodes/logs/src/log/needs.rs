@@ -96,7 +96,11 @@ pub(super) fn not_realo(file: &McapFile) -> LogError {
     let found = join(file.metadata().keys().map(String::as_str));
     let hint = match file.metadata().contains_key(crate::RECORDING_RECORD) {
         true => "it is a recording of a run: give it to `realo evaluate LOG --detections`".into(),
-        false => format!("it holds {}; {}", foreign::of_mcap(file), foreign::GUIDE),
+        false => format!(
+            "it holds {}; {}",
+            foreign::of_mcap(file),
+            foreign::imported(file.path())
+        ),
     };
     LogError::NotRealo {
         path: file.path().into(),

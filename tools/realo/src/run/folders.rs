@@ -189,7 +189,7 @@ fn refuse_foreign_files(folder: &Path) -> Result<()> {
     }
     // Sensors cannot be played again for what they gave.
     match Owner::of(&recording) {
-        Ok(Owner::Log) => Err(not_of_a_run(&recording)),
+        Ok(Owner::Log | Owner::OtherLog) => Err(not_of_a_run(&recording)),
         _ => Ok(()),
     }
 }
