@@ -70,6 +70,7 @@ impl Draft {
         for group in &groups {
             draft.agent(group, &spaces, &bags, groups.len());
         }
+        draft.remark_shared_poses();
         if draft.map.world.is_empty() {
             draft.map.world = "map".into();
             draft.world = "no pose names a frame".into();
@@ -93,7 +94,11 @@ impl Draft {
         let others = clouds.iter().filter(|topic| topic.topic != main.topic);
         let others: Vec<&str> = others.map(|topic| topic.topic.as_str()).collect();
         if !others.is_empty() {
-            remark("clouds", format!("the most points; it has {} too", others.join(", ")));
+            let words = format!(
+                "the most points; it has {} too, `clouds: [A, B]` takes several",
+                others.join(", ")
+            );
+            remark("clouds", words);
         }
         let frames = main.frames.iter().cloned().collect::<Vec<_>>().join(" ");
         let words = match main.frames.iter().any(|frame| frame != base) {
@@ -114,6 +119,12 @@ impl Draft {
         let truth = objects().find(|topic| is_truth(topic));
         let mut arrays = group.topics(Kind::Detection3DArray, spaces, groups);
         let detections = arrays.find(|topic| !is_truth(topic));
+        if detections.is_some() && truth.is_none() {
+            remark(
+                "detections",
+                "as `truth` instead if these are labels: without truth no run is scored".into(),
+            );
+        }
         let lower = name.to_ascii_lowercase();
         let stands = ["rsu", "infra", "road", "mast"].iter().any(|word| lower.contains(word));
         let agent = AgentMap {
@@ -137,6 +148,23 @@ impl Draft {
             offset: None,
         };
         self.map.agents.insert(name, agent);
+    }
+
+    /// Two agents with one topic of poses are often two LiDARs of one vehicle.
+    fn remark_shared_poses(&mut self) {
+        let mut seen: Vec<(&String, &AgentMap)> = Vec::new();
+        for (name, agent) in &self.map.agents {
+            let same = |(_, other): &&(&String, &AgentMap)| {
+                matches!(&agent.pose, PoseSource::Topic(_)) && other.pose == agent.pose && other.bag == agent.bag
+            };
+            if let Some((other, _)) = seen.iter().find(same) {
+                let words = format!(
+                    "the pose of `{other}` too: if both are LiDARs of one vehicle, keep one agent, with `clouds: [A, B]` and `mounts`"
+                );
+                self.why.insert((name.clone(), "pose"), words);
+            }
+            seen.push((name, agent));
+        }
     }
 
     /// A name for the agent of a group that no other has.
@@ -346,7 +374,7 @@ impl fmt::Display for Draft {
             line(f, "frame", &quoted(&agent.frame))?;
             writeln!(
                 f,
-                "    height: {}  # of the frame over the ground, m, or `ground`: as the first sweeps have it",
+                "    height: {}  # of the frame over the ground, m (0 if it is on it), or `ground`: as the first sweeps have it",
                 agent.height
             )?;
             line(f, "pose", &agent.pose.to_string())?;

@@ -66,8 +66,8 @@ pub(crate) enum Problem {
     Io(#[from] io::Error),
     #[error("a damaged archive: {0}; take a whole copy of the file")]
     Zip(#[from] ZipError),
-    #[error("expected a file that torch.save wrote, a zip archive or the format before it; this is neither")]
-    Unknown,
+    #[error("expected a file that torch.save wrote, a zip archive or the format before it; this is neither, but {0}")]
+    Unknown(&'static str),
     #[error("expected an archive of torch.save with one folder that holds data.pkl")]
     NoPickle,
     #[error("expected numbers with the lowest byte first, or the highest in an archive that says so")]

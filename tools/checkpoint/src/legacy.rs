@@ -17,7 +17,9 @@ const VERSION: i128 = 1001;
 /// The object of a file, and where its storages are.
 pub(crate) fn read(file: &mut (impl Read + Seek)) -> Result<(Pickle, Places), Problem> {
     if !matches!(Pickle::parse(&mut *file)?.root, Value::Int(MAGIC)) {
-        return Err(Problem::Unknown);
+        return Err(Problem::Unknown(
+            "a pickle of something else; save a state dict: torch.save(model.state_dict(), FILE)",
+        ));
     }
     if !matches!(Pickle::parse(&mut *file)?.root, Value::Int(VERSION)) {
         return Err(Problem::Legacy("its version is not 1001"));

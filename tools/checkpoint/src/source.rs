@@ -26,12 +26,33 @@ pub(crate) enum Source {
     },
 }
 
+/// Bytes that show what a file is.
+const HEAD: u64 = 64;
+
+/// What a file is by its first bytes, and what helps.
+fn what(begin: &[u8]) -> &'static str {
+    let is = |head: &[u8]| begin.starts_with(head);
+    let text = begin.trim_ascii_start().to_ascii_lowercase();
+    match begin {
+        [] => "empty; copy the file again",
+        _ if is(b"version https://git-lfs") => "a pointer of Git LFS; fetch the file with `git lfs pull`",
+        _ if text.starts_with(b"<!doctype") || text.starts_with(b"<html") => "a web page; download the file itself",
+        // The header of safetensors: its length, then JSON.
+        _ if begin.get(8) == Some(&b'{') => {
+            "safetensors; name such a file as weights in a model file (docs/reference/networks.md)"
+        }
+        [0x80, 3.., ..] => "a pickle of something else; save a state dict: torch.save(model.state_dict(), FILE)",
+        [0x1f, 0x8b, ..] => "compressed by gzip; unpack it first",
+        _ => "something else; see whether it is the right file",
+    }
+}
+
 impl Source {
     /// Opens a checkpoint and parses its pickle.
     pub fn open(file: File) -> Result<(Source, Pickle), Problem> {
         let mut file = BufReader::new(file);
         let mut begin = Vec::new();
-        file.by_ref().take(4).read_to_end(&mut begin)?;
+        file.by_ref().take(HEAD).read_to_end(&mut begin)?;
         file.rewind()?;
         match begin[..] {
             [b'P', b'K', 3, 4] => zip(file),
@@ -39,7 +60,7 @@ impl Source {
                 let (pickle, places) = legacy::read(&mut file)?;
                 Ok((Source::Legacy { file, places }, pickle))
             }
-            _ => Err(Problem::Unknown),
+            _ => Err(Problem::Unknown(what(&begin))),
         }
     }
 

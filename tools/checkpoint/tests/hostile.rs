@@ -243,8 +243,11 @@ fn storages_must_be_as_long_as_they_say() {
 fn other_files_are_no_checkpoints() {
     let model = Model::read(&data("small-attfuse.toml")).unwrap();
     let empty_zip = archive(b"", &[]);
-    let cases: [(&[u8], &str); 6] = [
+    let cases: [(&[u8], &str); 9] = [
         (b"", "torch.save"),
+        (b"version https://git-lfs.github.com/spec/v1\n", "git lfs pull"),
+        (b"\n<!DOCTYPE html><html>", "a web page"),
+        (b"\x40\0\0\0\0\0\0\0{\"a\":{\"dtype\":\"F32\"", "safetensors"),
         (b"PK\x03\x04", "damaged archive"),
         (b"{\"a\": 1}", "this is neither"),
         (b"\x80\x02}.", "this is neither"),

@@ -55,18 +55,28 @@ impl Bags {
     /// # Errors
     /// Bags that cannot be read; a map file that does not fit them; poses, frames or clocks that are missing.
     pub fn run(&self, report: &mut dyn FnMut(&'static str, u64, u64)) -> Result<BagSummary, ImportError> {
-        let import = self.open()?;
-        let small = small::read(&import, report)?;
-        let clocks = clocks::joined(&import, &small)?;
-        write::write(&import, small, &clocks, &self.output, report)
-    }
-
-    fn open(&self) -> Result<Import, ImportError> {
         let opened = self
             .paths
             .iter()
             .map(|path| realo_bags::open(path).and_then(realo_bags::decoded));
         let bags = opened.collect::<Result<Vec<_>, _>>()?;
+        // A bag that is cut may lack just what the map file asks for.
+        let notes: Vec<String> = bags.iter().flat_map(|bag| bag.notes().to_vec()).collect();
+        self.made(bags, report).map_err(|error| error.with_notes(&notes))
+    }
+
+    fn made(
+        &self,
+        bags: Vec<Box<dyn Bag>>,
+        report: &mut dyn FnMut(&'static str, u64, u64),
+    ) -> Result<BagSummary, ImportError> {
+        let import = self.plan(bags)?;
+        let small = small::read(&import, report)?;
+        let clocks = clocks::joined(&import, &small)?;
+        write::write(&import, small, &clocks, &self.output, report)
+    }
+
+    fn plan(&self, bags: Vec<Box<dyn Bag>>) -> Result<Import, ImportError> {
         let (mut map, draft) = match &self.options.map {
             Some(file) => (MapFile::read(file)?, None),
             None => {

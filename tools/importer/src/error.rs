@@ -118,4 +118,15 @@ impl ImportError {
             reason: reason.to_string(),
         }
     }
+
+    /// The same of what else is known of the files that were read.
+    pub(crate) fn with_notes(mut self, notes: &[String]) -> ImportError {
+        if let ImportError::Content { reason, .. } = &mut self {
+            for note in notes {
+                reason.push_str("\nnote: ");
+                reason.push_str(&realo_bags::printable(note));
+            }
+        }
+        self
+    }
 }

@@ -28,7 +28,7 @@ pub use level::{Level, Plane};
 pub use options::{BoxPlace, Handed, OPTIONS, OptionInfo, Options, SweepStamp, option_info};
 pub use pcd::{PcdCloud, parse_pcd, read_pcd};
 pub use relevel::{relevel, relevel_with};
-pub use scenes::{AgentSummary, Residual, SceneSummary};
+pub use scenes::{AgentSummary, Fit, Residual, SceneSummary};
 
 /// Text of a file as part of a line of ours.
 fn shown(text: &str) -> String {

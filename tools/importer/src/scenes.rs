@@ -26,7 +26,7 @@ use realo_schemas::geometry::View;
 pub use self::count::points_in_boxes;
 pub use self::name::agent_name;
 pub use self::plan::{Work, plan};
-pub use self::residual::{Placed, Residual, residual};
+pub use self::residual::{Fit, Placed, Residual, residual};
 pub use self::summary::{AgentSummary, SceneSummary};
 use crate::faults::{Faults, FaultsOfSweep};
 use crate::options::BoxPlace;

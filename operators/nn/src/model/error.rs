@@ -15,6 +15,14 @@ pub enum ModelError {
         /// What failed.
         error: ReadError,
     },
+    /// A file of weights in place of a model file.
+    #[error("{}: expected a model file (.toml), found weights; {mend}", path.display())]
+    Weights {
+        /// The file.
+        path: PathBuf,
+        /// What to give instead.
+        mend: String,
+    },
     /// It is not a model file.
     #[error("{}: {error}", path.display())]
     Syntax {

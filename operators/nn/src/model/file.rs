@@ -105,6 +105,22 @@ impl<A: Architecture> Model<A> {
 }
 
 fn read_text(path: &Path) -> Result<Vec<u8>, ModelError> {
+    let ending = path.extension().unwrap_or_default().to_string_lossy().to_lowercase();
+    let beside = path.with_extension("toml");
+    let mend = match &*ending {
+        "safetensors" if beside.is_file() => format!("give `{}`", beside.display()),
+        "safetensors" => "give the model file that names them (docs/reference/networks.md)".into(),
+        "pth" | "pt" | "ckpt" => format!(
+            "`realo-lab checkpoint convert {}` makes weights and a model file of it (docs/guide/your-checkpoint.md)",
+            path.display()
+        ),
+        "onnx" => "`realo-onnx` runs such a file (docs/guide/your-model.md)".into(),
+        _ => String::new(),
+    };
+    if !mend.is_empty() && path.is_file() {
+        let path = path.into();
+        return Err(ModelError::Weights { path, mend });
+    }
     read_bounded(path, MOST_BYTES).map_err(|error| ModelError::Read {
         path: path.into(),
         error,
@@ -132,4 +148,28 @@ fn over(mut below: toml::Table, above: toml::Table) -> toml::Table {
         below.insert(key, value);
     }
     below
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn weights_are_no_model_file_and_the_error_leads_on() {
+        let folder = tempfile::tempdir().unwrap();
+        for (name, beside, expected) in [
+            ("a.safetensors", true, "give `"),
+            ("b.safetensors", false, "give the model file that names them"),
+            ("c.pth", false, "realo-lab checkpoint convert"),
+            ("d.onnx", false, "realo-onnx"),
+        ] {
+            let path = folder.path().join(name);
+            std::fs::write(&path, [0xff; 9]).unwrap();
+            if beside {
+                std::fs::write(path.with_extension("toml"), "").unwrap();
+            }
+            let said = read_text(&path).unwrap_err().to_string();
+            assert!(said.contains(name) && said.contains(expected), "{said}");
+        }
+    }
 }

@@ -73,12 +73,17 @@ pub fn found(bags: &[Box<dyn Bag>], map: &MapFile) -> Result<Vec<Agent>, String>
     };
     let agents: Vec<Agent> = map.agents.iter().map(agent).collect::<Result<_, _>>()?;
     for (place, agent) in agents.iter().enumerate() {
-        let same = |other: &&Agent| other.bag == agent.bag && other.clouds[0].connection == agent.clouds[0].connection;
-        if let Some(other) = agents[..place].iter().find(same) {
-            return Err(format!(
-                "agents.{}.clouds: `{}` is the topic of `{}` already; expected a topic for each agent",
-                agent.name, agent.clouds[0].name, other.name
-            ));
+        for other in &agents[..place] {
+            let is_others = |cloud: &&Topic| {
+                let mut topics = other.clouds.iter();
+                other.bag == agent.bag && topics.any(|topic| topic.connection == cloud.connection)
+            };
+            if let Some(cloud) = agent.clouds.iter().find(is_others) {
+                return Err(format!(
+                    "agents.{}.clouds: `{}` is the topic of `{}` already; expected a topic for each agent",
+                    agent.name, cloud.name, other.name
+                ));
+            }
         }
     }
     Ok(agents)
@@ -213,9 +218,9 @@ fn topic(bag: &dyn Bag, field: &str, wanted: &str, what: &str, fits: impl Fn(Kin
         has.sort();
         has.truncate(12);
         let has = if has.is_empty() { "none".into() } else { has.join(", ") };
+        let path = bag.path().display();
         return Err(format!(
-            "{field}: `{}` has no topic `{wanted}`; of the right type it has {has}",
-            bag.path().display()
+            "{field}: `{path}` has no topic `{wanted}`; of the right type it has {has}; `realo info {path}` lists all"
         ));
     }
     let mut types = Vec::new();

@@ -232,7 +232,7 @@ pub fn height(agent: &Agent, frames: &Frames, track: &Track, heads: &Heads) -> R
     match (heights.get(heights.len() / 2), reason) {
         (Some(height), _) => Ok(*height),
         (None, reason) => Err(format!(
-            "height: {}; or write the height of `{}` over the ground, as `height: 0.3`",
+            "height: {}; or write the height of `{}` over the ground: `height: 0` if that frame is on the ground, else as `height: 0.3`",
             reason.unwrap_or_else(|| "there is no sweep".into()),
             agent.map.frame
         )),

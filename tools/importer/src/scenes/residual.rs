@@ -3,7 +3,7 @@
 use std::collections::HashMap;
 use std::fmt;
 
-use nalgebra::{Isometry3, Point3, Vector3};
+use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use realo_schemas::PointCloud;
 use serde::Serialize;
 
@@ -17,8 +17,15 @@ const SAMPLE: usize = 2000;
 const LEAST: usize = 100;
 /// Edge of a cell, m: a point farther away is not found.
 const CELL: f64 = 1.0;
-/// Above this the clouds do not fit, m: agents see objects from different sides.
+/// Points that are so near to one of the other agent are seen by both, m.
 const FITS: f64 = 0.5;
+/// Fewer points of both show no place.
+const LEAST_COMMON: usize = 30;
+/// The place of the poses has so many times the points of both that any other has, or another has them.
+const CLEARLY: f64 = 1.2;
+/// Other places that are tried: moved by so much in eight directions, m, and turned about the sensor, rad.
+const MOVED: [f64; 3] = [1.5, 3.0, 5.0];
+const TURNED: [f64; 5] = [-0.35, -0.17, 0.0, 0.17, 0.35];
 
 /// How far the points of an agent are from those of another.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -29,6 +36,25 @@ pub struct Residual {
     pub metres: Option<f64>,
     /// Points that were looked up.
     pub points: usize,
+    /// What other places of the one to the other say.
+    pub place: Fit,
+}
+
+/// Whether clouds fit best where the poses put them. A median says little of agents that see the same things from different sides.
+#[derive(Clone, Copy, Debug, PartialEq, Serialize)]
+#[serde(rename_all = "snake_case")]
+pub enum Fit {
+    /// There clearly more points are seen by both than at any other place that was tried.
+    Confirmed,
+    /// Too little is seen by both.
+    Unknown,
+    /// Clearly more points are seen by both after this motion of the one about its sensor.
+    Elsewhere {
+        /// By so much, m.
+        metres: f64,
+        /// By so much, degrees.
+        degrees: f64,
+    },
 }
 
 impl fmt::Display for Residual {
@@ -40,12 +66,17 @@ impl fmt::Display for Residual {
             None => write!(f, "median distance of more than {CELL} m")?,
         }
         write!(f, " over {} points within {REACH} m of both", self.points)?;
-        match self.metres.is_some_and(|metres| metres <= FITS) {
-            true => Ok(()),
-            false => write!(
+        match self.place {
+            Fit::Confirmed => Ok(()),
+            _ if self.metres.is_some_and(|metres| metres <= FITS) => Ok(()),
+            Fit::Unknown => write!(
                 f,
-                "; expected below {FITS} m where both see the same: look at a picture of it, and try --handed and --pose-key, or of bags \
-                 poses, frames and clocks of the map file"
+                "; too little is seen by both to tell whether their poses are right: look at a picture of it"
+            ),
+            Fit::Elsewhere { metres, degrees } => write!(
+                f,
+                "; after a motion of {metres} m and {degrees:.0}° more fits, so their poses, frames or clocks are probably wrong: look at \
+                 a picture of it, and try --pose-key; in a map file of bags correct `pose`, `frame` or `offset`"
             ),
         }
     }
@@ -75,6 +106,57 @@ impl Placed<'_> {
     }
 }
 
+/// Points of an agent by cells.
+struct Cells<'a>(HashMap<[i64; 3], Vec<&'a Vector3<f64>>>);
+
+impl<'a> Cells<'a> {
+    fn new(points: &'a [Vector3<f64>]) -> Self {
+        let mut cells = HashMap::<_, Vec<_>>::new();
+        for point in points {
+            cells.entry(cell(point)).or_default().push(point);
+        }
+        Cells(cells)
+    }
+
+    /// Distance to the nearest point, m; infinite where none is within a cell.
+    fn nearest(&self, point: &Vector3<f64>) -> f64 {
+        let [x, y, z] = cell(point);
+        let around = (0..27_i64).map(|i| [x + i % 3 - 1, y + i / 3 % 3 - 1, z + i / 9 - 1]);
+        let found = around.filter_map(|cell| self.0.get(&cell)).flatten();
+        found.map(|other| (point - *other).norm()).fold(f64::INFINITY, f64::min)
+    }
+
+    /// What places around those of the poses say; `about` is the sensor of the points.
+    fn place(&self, points: &[Vector3<f64>], about: &Vector3<f64>) -> Fit {
+        let common = |[moved, angle, turned]: [f64; 3]| {
+            let shift = Vector3::new(moved * libm::cos(angle), moved * libm::sin(angle), 0.0);
+            let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turned);
+            let motion = |point: &&Vector3<f64>| self.nearest(&(about + turn * (*point - about) + shift)) <= FITS;
+            points.iter().filter(motion).count()
+        };
+        let directions = (0..8).map(|i| f64::from(i) * std::f64::consts::FRAC_PI_4);
+        let moves = directions
+            .flat_map(|angle| MOVED.map(|moved| [moved, angle]))
+            .chain([[0.0; 2]]);
+        let motions = moves.flat_map(|[moved, angle]| TURNED.map(|turned| [moved, angle, turned]));
+        let others = motions.filter(|[moved, _, turned]| *moved > 0.0 || *turned != 0.0);
+        let other = others
+            .map(|motion| (common(motion), motion))
+            .max_by_key(|(count, _)| *count);
+        let (most, [metres, _, turned]) = other.unwrap_or_default();
+        let here = common([0.0; 3]);
+        match (here as f64, most as f64) {
+            (here, most) if here.max(most) < LEAST_COMMON as f64 => Fit::Unknown,
+            (here, most) if here >= CLEARLY * most => Fit::Confirmed,
+            (here, most) if most >= CLEARLY * here => Fit::Elsewhere {
+                metres,
+                degrees: turned.to_degrees(),
+            },
+            _ => Fit::Unknown,
+        }
+    }
+}
+
 fn cell(point: &Vector3<f64>) -> [i64; 3] {
     [point.x, point.y, point.z].map(|metres| (metres / CELL).floor() as i64)
 }
@@ -85,22 +167,48 @@ pub fn residual(a: &Placed, b: &Placed) -> Option<Residual> {
     if ours.len() < LEAST || theirs.len() < LEAST {
         return None;
     }
-    let mut cells: HashMap<[i64; 3], Vec<&Vector3<f64>>> = HashMap::new();
-    for point in &theirs {
-        cells.entry(cell(point)).or_default().push(point);
-    }
-    let nearest = |point: &Vector3<f64>| {
-        let [x, y, z] = cell(point);
-        let around = (0..27_i64).map(|i| [x + i % 3 - 1, y + i / 3 % 3 - 1, z + i / 9 - 1]);
-        let found = around.filter_map(|cell| cells.get(&cell)).flatten();
-        found.map(|other| (point - *other).norm()).fold(f64::INFINITY, f64::min)
-    };
+    let cells = Cells::new(&theirs);
     let every = ours.len().div_ceil(SAMPLE);
-    let mut distances: Vec<f64> = ours.iter().step_by(every).map(nearest).collect();
+    let sample: Vec<Vector3<f64>> = ours.iter().step_by(every).copied().collect();
+    let mut distances: Vec<f64> = sample.iter().map(|point| cells.nearest(point)).collect();
     distances.sort_by(f64::total_cmp);
     Some(Residual {
         agents: [a.name.into(), b.name.into()],
         metres: Some(distances[distances.len() / 2]).filter(|metres| *metres <= CELL),
         points: distances.len(),
+        place: cells.place(&sample, &a.map_from_body.translation.vector),
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    /// Two walls at a right angle, and a post.
+    fn walls() -> Vec<Vector3<f64>> {
+        let along = (0..200).map(|i| f64::from(i) * 0.1);
+        let walls = along.flat_map(|s| [Vector3::new(s, 8.0, 1.0), Vector3::new(12.0, s - 10.0, 1.5)]);
+        walls.chain([Vector3::new(3.0, 2.0, 1.0); 20]).collect()
+    }
+
+    #[test]
+    fn clouds_fit_best_where_their_poses_are_right() {
+        let theirs = walls();
+        let cells = Cells::new(&theirs);
+        assert_eq!(cells.place(&theirs, &Vector3::zeros()), Fit::Confirmed);
+        // What the one sees and the other does not changes nothing.
+        let far = (0..2000).map(|i| Vector3::new(-0.02 * f64::from(i), -30.0, 1.0));
+        let ours: Vec<_> = theirs.iter().copied().chain(far).collect();
+        assert_eq!(cells.place(&ours, &Vector3::zeros()), Fit::Confirmed);
+        let moved: Vec<_> = theirs.iter().map(|point| point + Vector3::new(3.0, 0.0, 0.0)).collect();
+        let place = cells.place(&moved, &Vector3::zeros());
+        assert_eq!(
+            place,
+            Fit::Elsewhere {
+                metres: 3.0,
+                degrees: 0.0
+            }
+        );
+        assert_eq!(cells.place(&moved[..10], &Vector3::zeros()), Fit::Unknown);
+    }
 }
