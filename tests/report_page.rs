@@ -3,6 +3,8 @@
 #[path = "common/browser.rs"]
 mod browser;
 mod common;
+#[path = "report/long.rs"]
+mod long;
 
 use std::fs;
 use std::path::{Path, PathBuf};

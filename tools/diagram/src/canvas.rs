@@ -53,6 +53,15 @@ impl Canvas {
         }
     }
 
+    /// Words in a row from the left, below all lines and words.
+    pub fn write_behind(&mut self, text: &str, y: usize) {
+        for (letter, at) in text.chars().zip(y * self.width..(y + 1) * self.width) {
+            if self.lines[at] == 0 && self.words[at].is_none() {
+                self.words[at] = Some(letter);
+            }
+        }
+    }
+
     /// The lines of text, without empty ones at the end.
     pub fn text(&self) -> String {
         let rows = self.lines.chunks(self.width).zip(self.words.chunks(self.width));

@@ -11,6 +11,7 @@ use serde_json::{Value, json};
 
 use crate::PageError;
 use crate::curves::{PrecisionRecall, age_quantiles, precision_recall, quantiles};
+use crate::html::escaped;
 use crate::points::CloudPart;
 use crate::scenes::ScenePart;
 
@@ -129,8 +130,8 @@ impl Document {
         runs.map(|run| run.messages.len()).sum()
     }
 
-    /// The document as JSON, thinned to so many bytes at most: every 2nd, 4th, 8th … sweep of the player is kept. What was
-    /// taken away is said in [`Document::left_out`].
+    /// The document as JSON, thinned to so many bytes at most as the page writes it: every 2nd, 4th, 8th … sweep of the player
+    /// is kept. What was taken away is said in [`Document::left_out`].
     ///
     /// # Errors
     /// [`PageError::TooLarge`] where the rest is too large without any sweep.
@@ -139,18 +140,19 @@ impl Document {
         let (scenes, messages) = (self.scenes.len(), self.messages());
         loop {
             let text = self.json()?;
-            if text.len() <= most {
+            let bytes = written(&text);
+            if bytes <= most {
                 return Ok(text);
             }
             if self.sweeps() == 0 {
                 return Err(PageError::TooLarge {
                     runs: self.runs.len(),
-                    bytes: text.len(),
+                    bytes,
                     most,
                 });
             }
             // From far off at once: the rest of the document is small beside the sweeps.
-            let factor = (text.len() / most.max(1)) as u64 + 1;
+            let factor = (bytes / most.max(1)) as u64 + 1;
             stride = stride.saturating_mul(factor.next_power_of_two());
             self.thin(stride);
             self.left_out.retain(|line| !line.starts_with(THINNED));
@@ -167,12 +169,16 @@ impl Document {
             self.left_out.push(format!(
                 "{THINNED} {stride}, so that the page stays below {} MB{gone}; a report of fewer runs, or of one \
                  log and ego (`RUN/LOG/EGO`), has more",
-                most / 1_000_000
+                most.div_ceil(1_000_000)
             ));
         }
     }
 
-    fn json(&self) -> Result<String, PageError> {
+    /// The document as JSON.
+    ///
+    /// # Errors
+    /// One that JSON cannot hold.
+    pub fn json(&self) -> Result<String, PageError> {
         let mut value = serde_json::to_value(self)?;
         if let Some(fields) = value.as_object_mut() {
             fields.insert("words".into(), words());
@@ -200,6 +206,11 @@ impl Document {
         // The player opens the first scene.
         self.scenes.retain(|scene| !scene.frames.is_empty());
     }
+}
+
+/// Bytes of a text of JSON on the page, which writes one letter of it longer.
+fn written(json: &str) -> usize {
+    json.len() + (escaped("<").len() - 1) * json.matches('<').count()
 }
 
 const THINNED: &str = "the player has one sweep of";
@@ -259,6 +270,17 @@ mod tests {
             assert!(thin.sweeps() > 10 && thin.sweeps() * text.len() <= 3000 * 2 * most);
             assert_eq!(thin.left_out.len(), 1, "{:?}", thin.left_out);
         }
+    }
+
+    #[test]
+    fn a_document_fits_as_the_page_writes_it() {
+        let mut wild = document(10);
+        wild.differences = vec!["<".repeat(1000)];
+        let text = wild.json().unwrap();
+        assert_eq!(written(&text), escaped(&text).len());
+        let most = written(&text) - 1;
+        let fitted = wild.fitted(most).unwrap();
+        assert!(escaped(&fitted).len() <= most && wild.sweeps() < 10);
     }
 
     #[test]

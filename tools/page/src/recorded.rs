@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use realo_logs::MAX_GAP;
-use realo_recorder::{FATES, boxes_of, reports_of, states_of, truth_of};
+use realo_recorder::{FATES, boxes_of, footprints_of, reports_of, states_of, truth_of};
 use realo_schemas::geometry::PoseTrack;
 use realo_schemas::report::{Entry, Fated};
 use realo_schemas::{Boxes, GroundTruth, Header, Kind, Name, Nanos};
@@ -37,6 +37,8 @@ pub struct Recorded {
     pub unreadable: usize,
     /// Where each agent was in the map, as the graph knew it.
     pub poses: BTreeMap<Name, PoseTrack>,
+    /// Outlines of agents in their body frames, x min, x max, y min, y max, m.
+    pub footprints: BTreeMap<Name, [f64; 4]>,
 }
 
 /// What entered a channel in a second.
@@ -64,6 +66,7 @@ impl Recorded {
             carried: BTreeMap::new(),
             unreadable: 0,
             poses: BTreeMap::new(),
+            footprints: BTreeMap::new(),
         }
     }
 
@@ -88,10 +91,11 @@ impl Recorded {
         recorded.total = numbers.len();
         recorded.read_fates(recording, ego)?;
         recorded.read_poses(recording)?;
+        recorded.footprints = footprints_of(recording)?;
         Ok(recorded)
     }
 
-    /// Takes the ego's outline, which a recording leaves out: boxes in it are the ego itself, and not false.
+    /// Takes the ego's outline, which truth leaves out in a recording: boxes in it are the ego itself, and not false.
     pub fn take_footprint(&mut self, footprint: Option<[f64; 4]>) {
         let truths = self.sweeps.values_mut().filter_map(|sweep| sweep.truth.as_mut());
         truths.for_each(|(_, truth)| truth.ego_footprint = footprint);
