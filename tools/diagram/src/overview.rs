@@ -174,8 +174,10 @@ impl<'a> Drawn<'a> {
         }
         for (group, band) in diagram.groups.iter().zip(&self.arranged.bands) {
             let Some([top, _]) = band else { continue };
-            let name = printable(&format!("┄ {} ({}) ", group.name, group.what));
-            canvas.write_behind(&format!("{name:┄<width$}", width = self.width), row(*top) - 1);
+            canvas.rule(
+                &printable(&format!("┄ {} ({}) ", group.name, group.what)),
+                row(*top) - 1,
+            );
         }
         canvas.text()
     }

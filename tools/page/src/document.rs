@@ -13,7 +13,8 @@ use crate::PageError;
 use crate::curves::{PrecisionRecall, age_quantiles, precision_recall, quantiles};
 use crate::html::escaped;
 use crate::points::CloudPart;
-use crate::scenes::ScenePart;
+use crate::recorded::FEWER_SWEEPS;
+use crate::scenes::{FEWER_MESSAGES, ScenePart};
 
 /// All that a page shows.
 #[derive(Debug, Serialize)]
@@ -137,7 +138,7 @@ impl Document {
     /// [`PageError::TooLarge`] where the rest is too large without any sweep.
     pub fn fitted(&mut self, most: usize) -> Result<String, PageError> {
         let mut stride: u64 = 1;
-        let (scenes, messages) = (self.scenes.len(), self.messages());
+        let (scenes, all) = (self.scenes.len(), self.totals());
         loop {
             let text = self.json()?;
             let bytes = written(&text);
@@ -155,23 +156,40 @@ impl Document {
             let factor = (bytes / most.max(1)) as u64 + 1;
             stride = stride.saturating_mul(factor.next_power_of_two());
             self.thin(stride);
-            self.left_out.retain(|line| !line.starts_with(THINNED));
-            let mut gone = String::new();
-            if self.messages() < messages {
-                gone += &format!("; it has {} of {messages} messages", self.messages());
-            }
-            if self.scenes.len() < scenes {
-                gone += &format!(
-                    "; it has {} of {scenes} scenes, the others have no sweep left",
-                    self.scenes.len()
-                );
-            }
-            self.left_out.push(format!(
-                "{THINNED} {stride}, so that the page stays below {} MB{gone}; a report of fewer runs, or of one \
-                 log and ego (`RUN/LOG/EGO`), has more",
-                most.div_ceil(1_000_000)
-            ));
+            // It says it of all.
+            let said = |line: &String| line.contains(FEWER_SWEEPS) || line.contains(FEWER_MESSAGES);
+            self.left_out.retain(|line| !said(line) && !line.starts_with(THINNED));
+            self.left_out.push(self.thinned(stride, scenes, all, most));
         }
+    }
+
+    /// Recorded sweeps and messages, with those that are not on the page.
+    fn totals(&self) -> [usize; 2] {
+        let runs = || self.scenes.iter().flat_map(|scene| &scene.runs);
+        [
+            runs().map(|run| run.recorded).sum(),
+            runs().map(|run| run.all_messages.max(run.messages.len())).sum(),
+        ]
+    }
+
+    /// What is said where every n-th sweep is left. `scenes`, `sweeps`, `messages`: how many there were.
+    fn thinned(&self, stride: u64, scenes: usize, [sweeps, messages]: [usize; 2], most: usize) -> String {
+        let mut gone = String::new();
+        if self.messages() < messages {
+            gone += &format!("; it has {} of {messages} messages", self.messages());
+        }
+        if self.scenes.len() < scenes {
+            gone += &format!(
+                "; it has {} of {scenes} scenes, the others have no sweep left",
+                self.scenes.len()
+            );
+        }
+        format!(
+            "{THINNED} {stride}, {} of {sweeps}, so that the page stays below {} MB{gone}; a report of fewer runs, or of one \
+             log and ego (`RUN/LOG/EGO`), has more",
+            self.sweeps(),
+            most.div_ceil(1_000_000)
+        )
     }
 
     /// The document as JSON.
@@ -240,8 +258,7 @@ mod tests {
             run: 0,
             recorded: sweeps as usize,
             frames: (0..sweeps).map(|seq| (seq, boxes())).collect(),
-            messages: Vec::new(),
-            carried: Vec::new(),
+            ..SceneRun::empty()
         };
         let mut scene = ScenePart::empty("log", "cav1");
         (scene.frames, scene.runs) = (frames, vec![of_run]);

@@ -48,6 +48,9 @@ pub struct Carried {
     pub bytes: u64,
 }
 
+/// Stands in what is said of a recording of which not all sweeps are on the page.
+pub const FEWER_SWEEPS: &str = "sweeps, one of";
+
 /// Seconds of senders that are kept: more than a log has.
 const MOST_SECONDS: usize = 100_000;
 
@@ -153,7 +156,7 @@ impl Recorded {
         let mut lines = Vec::new();
         if self.stride > 1 {
             lines.push(format!(
-                "{of}: the player has {} of {} sweeps, one of {}; a report of fewer runs, or of one log and ego \
+                "{of}: the player has {} of {} {FEWER_SWEEPS} {}; a report of fewer runs, or of one log and ego \
                  (`RUN/LOG/EGO`), has more",
                 self.sweeps.len(),
                 self.total,

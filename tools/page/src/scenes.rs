@@ -25,6 +25,9 @@ const MILLI: Nanos = 1_000_000;
 /// Messages of one recording that are on the page, at most; those that were not used go first.
 const MOST_MESSAGES: usize = 12_000;
 
+/// Stands in what is said of a run of which not all messages are on the page.
+pub const FEWER_MESSAGES: &str = "messages that were not used come first";
+
 /// Names of classes, each once; rows hold their places.
 #[derive(Debug, Default)]
 pub struct Names {
@@ -124,6 +127,9 @@ pub struct SceneRun {
     pub messages: Vec<[i64; 5]>,
     /// `[agent, time, messages, bytes]` of what each agent sent to the ego in a second, which begins at this time.
     pub carried: Vec<[i64; 4]>,
+    /// How many messages there are with those that are not on the page.
+    #[serde(skip)]
+    pub all_messages: usize,
 }
 
 impl SceneRun {
@@ -135,6 +141,7 @@ impl SceneRun {
             frames: BTreeMap::new(),
             messages: Vec::new(),
             carried: Vec::new(),
+            all_messages: 0,
         }
     }
 }
@@ -293,18 +300,17 @@ impl Scenes {
         let mut of_run = SceneRun {
             run: number,
             recorded: recorded.total,
-            frames: BTreeMap::new(),
-            messages: Vec::new(),
-            carried: Vec::new(),
+            ..SceneRun::empty()
         };
         for (seq, sweep) in &recorded.sweeps {
             scene.add_sweep(*seq, sweep, recorded, &protocol, origin, &mut of_run, names)?;
         }
         let all = scene.add_fates(recorded, &mut of_run);
+        of_run.all_messages = all;
         scene.add_carried(recorded, &mut of_run);
         if of_run.messages.len() < all {
             left_out.push(format!(
-                "{name}: the player has {} of {all} messages to `{ego}` in `{log}`; messages that were not used come first",
+                "{name}: the player has {} of {all} messages to `{ego}` in `{log}`; {FEWER_MESSAGES}",
                 of_run.messages.len()
             ));
         }
