@@ -16,7 +16,7 @@ use realo_logs::{Schema, boxes, cloud};
 use serde_json::{Value, json};
 
 /// Topics of every run over the small log.
-const TOPICS: [&str; 10] = [
+const TOPICS: [&str; 11] = [
     "/cav1/points",
     "/rsu1/points",
     "/cav1/boxes",

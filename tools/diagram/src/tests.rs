@@ -56,6 +56,7 @@ fn small() -> Diagram {
     Diagram {
         title: "small".into(),
         about: vec!["what it is".into()],
+        groups: Vec::new(),
         processes: processes(&["player", "others", "v2x", "score"]),
         stages,
         wires: vec![

@@ -244,7 +244,7 @@ impl Live {
             let Some(pose) = track.at(*at) else { continue };
             let (from, cloud) = placed(cloud, *at, track, &pose, origin);
             index.push(json!({
-                "agent": agent,
+                "agent": &**agent,
                 "t": (at - self.scene.start_ns) / 1_000_000,
                 "from": centimetres(from),
                 "points": [points.len() / 2, 3 * cloud.len()],
