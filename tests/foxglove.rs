@@ -16,7 +16,7 @@ use realo_logs::{Schema, boxes, cloud};
 use serde_json::{Value, json};
 
 /// Topics of every run over the small log.
-const TOPICS: [&str; 10] = [
+const TOPICS: [&str; 11] = [
     "/cav1/points",
     "/rsu1/points",
     "/cav1/boxes",
@@ -24,6 +24,7 @@ const TOPICS: [&str; 10] = [
     "/cav1/boxes_info",
     "/cav1/ground_truth",
     "/cav1/ground_truth_scene",
+    "/cav1/footprint",
     "/rsu1/pose",
     "/tf",
     "/reports",
@@ -240,6 +241,7 @@ fn a_client_in_python_decodes_every_topic_by_the_schemas_that_come_with_it() {
             ("/cav1/boxes_markers", "visualization_msgs/msg/MarkerArray"),
             ("/cav1/ground_truth_info", "realo_msgs/msg/BoxesInfo"),
             ("/tf", "tf2_msgs/msg/TFMessage"),
+            ("/cav1/footprint", "geometry_msgs/msg/PolygonStamped"),
         ] {
             assert_eq!(said["channels"][topic], schema, "{topic}: {said}");
         }
@@ -280,7 +282,11 @@ fn the_layout_that_ships_names_topics_that_there_are() {
     let drawn: BTreeSet<&str> = offered
         .iter()
         .copied()
-        .filter(|topic| topic.ends_with("_scene") || topic.ends_with("/points"))
+        .filter(|topic| {
+            ["_scene", "/points", "/footprint"]
+                .iter()
+                .any(|ending| topic.ends_with(ending))
+        })
         .collect();
     assert!(
         drawn.iter().all(|topic| topics.contains(*topic)),

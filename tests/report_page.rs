@@ -3,6 +3,8 @@
 #[path = "common/browser.rs"]
 mod browser;
 mod common;
+#[path = "report/long.rs"]
+mod long;
 
 use std::fs;
 use std::path::{Path, PathBuf};
@@ -373,6 +375,42 @@ fn steps(text: &str) -> Vec<i16> {
         .chunks(2)
         .map(|two| i16::from_le_bytes([two[0], two[1]]))
         .collect()
+}
+
+#[test]
+fn without_the_log_the_recording_says_how_large_agents_are() {
+    let home = folder("report_outlines");
+    let [late, _] = runs();
+    let gone = home.join("gone");
+    copied(&late, &gone);
+    let file = gone.join(format!("{LOG}/cav1/run.json"));
+    let moved = fs::read_to_string(&file)
+        .expect("it is there")
+        .replace(LOG, "elsewhere");
+    fs::write(&file, moved).expect("it can be written");
+    let page = |run: &Path, name: &str, more: &[&str]| {
+        let page = home.join(name);
+        let (code, said) = report(&[run], &page, more);
+        assert_eq!(code, Some(0), "{said}");
+        assert!(!said.contains("outlines"), "{said}");
+        document(&page)["scenes"][0].clone()
+    };
+    let (with, without) = (
+        page(&late, "with.html", &["--log", &log().to_string_lossy()]),
+        page(&gone, "without.html", &[]),
+    );
+    assert_ne!(with["start"], without["start"], "the log is not found");
+    let outline = &without["agents"][0]["footprint"];
+    assert!(
+        outline.is_array() && *outline == with["agents"][0]["footprint"],
+        "{outline}"
+    );
+    // Boxes on the ego itself are the ego: everything is judged as with the log.
+    let judged = |scene: &Value| -> Vec<Value> {
+        let frames = scene["runs"][0]["frames"].as_object().expect("sweeps");
+        frames.values().map(|frame| frame["boxes"].clone()).collect()
+    };
+    assert_eq!(judged(&with), judged(&without));
 }
 
 #[test]

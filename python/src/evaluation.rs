@@ -121,6 +121,7 @@ impl FrameRow {
             agents: agents.to_vec(),
             points: points.unwrap_or_default().into_flattened(),
             ego_footprint: self.ego_footprint,
+            other_footprints: Vec::new(),
             key: self.key,
             views: views("truth", &self.views)?,
             own: own.transpose()?,

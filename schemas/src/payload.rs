@@ -329,6 +329,9 @@ pub struct GroundTruth {
     pub points: Vec<u32>,
     /// The ego's own footprint in its body frame, [x min, x max, y min, y max], m; detections centred in it are its own.
     pub ego_footprint: Option<[f64; 4]>,
+    /// The footprints of the other agents, each in its own body frame, in the order of `agents` after the ego; empty where the source
+    /// does not say.
+    pub other_footprints: Vec<Option<[f64; 4]>>,
     /// Whether the frame is scored.
     pub key: bool,
     /// Where objects could be labelled, in the ego's true body frame; empty where that is everywhere.
@@ -351,6 +354,13 @@ pub struct OwnLabels {
 }
 
 impl GroundTruth {
+    /// The agents whose footprints are known, and these.
+    pub fn footprints(&self) -> impl Iterator<Item = (&Name, [f64; 4])> {
+        let all = std::iter::once(&self.ego_footprint).chain(&self.other_footprints);
+        let known = |(agent, footprint): (_, &Option<[f64; 4]>)| footprint.map(|footprint| (agent, footprint));
+        self.agents.iter().zip(all).filter_map(known)
+    }
+
     /// Points of all agents on an object; `None` where the source does not say.
     pub fn points_of_all(&self, object: usize) -> Option<u64> {
         self.row(object).map(|row| row.iter().map(|n| u64::from(*n)).sum())

@@ -441,13 +441,13 @@ fn box_columns(boxes: &[Box3], prefix: &str, row: &mut Builder) {
     );
 }
 
-fn optional_vectors(boxes: &[Box3], get: fn(&Box3) -> Option<&[f64]>, size: usize) -> FixedSizeListArray {
+fn optional_vectors<T>(of: &[T], get: fn(&T) -> Option<&[f64]>, size: usize) -> FixedSizeListArray {
     let zeros = vec![0.0; size];
-    let values: Vec<f64> = boxes
+    let values: Vec<f64> = of
         .iter()
-        .flat_map(|b| get(b).unwrap_or(&zeros).iter().copied())
+        .flat_map(|one| get(one).unwrap_or(&zeros).iter().copied())
         .collect();
-    let known = NullBuffer::from_iter(boxes.iter().map(|b| get(b).is_some()));
+    let known = NullBuffer::from_iter(of.iter().map(|one| get(one).is_some()));
     let field = Arc::new(Field::new("item", DataType::Float64, true));
     FixedSizeListArray::new(field, size as i32, Arc::new(Float64Array::from(values)), Some(known))
 }
@@ -505,6 +505,11 @@ fn truth_columns(truth: &GroundTruth, row: &mut Builder) {
         "ego_footprint",
         truth.ego_footprint.map(|f| f.to_vec()).unwrap_or_default(),
     );
+    let footprints = &truth.other_footprints;
+    row.list(
+        "other_footprints",
+        optional_vectors(footprints, |known| known.as_ref().map(|sides| sides.as_slice()), 4),
+    );
     row.push("key", BooleanArray::from(vec![truth.key]));
     row.list("views", views_column(&truth.views));
     let nothing = OwnLabels::default();
@@ -557,6 +562,19 @@ fn read_own(row: &Row) -> Result<Option<OwnLabels>, WireError> {
     }))
 }
 
+/// The footprints of so many agents, or of none.
+fn read_footprints(row: &Row, agents: usize) -> Result<Vec<Option<[f64; 4]>>, WireError> {
+    const FIELD: &str = "other_footprints";
+    let lists = row.list::<FixedSizeListArray>(FIELD)?;
+    if !lists.is_empty() && lists.len() != agents {
+        let reason = format!("{} footprints for {agents} agents beside the ego", lists.len());
+        return Err(WireError::content(FIELD, reason));
+    }
+    (0..lists.len())
+        .map(|index| columns::vector(&lists, index, FIELD))
+        .collect()
+}
+
 fn read_truth(row: &Row) -> Result<GroundTruth, WireError> {
     let boxes = read_boxes(row, "")?;
     let agents: Vec<Name> = row.texts("agents")?.into_iter().map(Name::from).collect();
@@ -580,12 +598,14 @@ fn read_truth(row: &Row) -> Result<GroundTruth, WireError> {
             ));
         }
     };
+    let other_footprints = read_footprints(row, agents.len().saturating_sub(1))?;
     let key = row.value::<BooleanArray>("key")?.value(row.index());
     Ok(GroundTruth {
         boxes,
         agents,
         points,
         ego_footprint,
+        other_footprints,
         key,
         views: read_views(row, "views")?,
         own: read_own(row)?,

@@ -90,6 +90,7 @@ fn payloads() -> Vec<(Kind, Payload)> {
         agents: vec!["cav1".into(), "rsu1".into()],
         points: vec![1, 2, 3, 4],
         ego_footprint: Some([-1.0, 3.0, -1.0, 1.0]),
+        other_footprints: vec![None],
         key: true,
         ..GroundTruth::default()
     };
@@ -101,6 +102,9 @@ fn payloads() -> Vec<(Kind, Payload)> {
         margin: 2.0,
     };
     let labelled = GroundTruth {
+        agents: vec!["rsu1".into(), "cav1".into()],
+        ego_footprint: None,
+        other_footprints: vec![Some([-1.0, 3.0, -1.0, 1.0])],
         views: vec![view.clone(), view.clone()],
         own: Some(OwnLabels {
             boxes: vec![object(Some(1))],
@@ -282,6 +286,18 @@ fn numbers(values: &[f64]) -> ArrayRef {
     list(column(arrow_array::Float64Array::from(values.to_vec())))
 }
 
+/// As many agents' footprints.
+fn outlines(count: usize) -> ArrayRef {
+    let numbers = arrow_array::Float64Array::from(vec![1.0; 4 * count]);
+    let field = Arc::new(Field::new("item", numbers.data_type().clone(), true));
+    list(Arc::new(arrow_array::FixedSizeListArray::new(
+        field,
+        4,
+        Arc::new(numbers),
+        None,
+    )))
+}
+
 fn times(values: &[i64]) -> ArrayRef {
     list(column(arrow_array::Int64Array::from(values.to_vec())))
 }
@@ -358,6 +374,12 @@ fn every_field_is_held_to_its_content() {
             "3 counts for 2 objects and 2 agents",
         ),
         (GroundTruth, "ego_footprint", numbers(&[1.0; 3]), "4 numbers, found 3"),
+        (
+            GroundTruth,
+            "other_footprints",
+            outlines(2),
+            "2 footprints for 1 agents",
+        ),
         (Motion, "imu_arrival", times(&[1]), "1 values for 2 stamps"),
         (Motion, "imu_stamp", times(&[-5, i64::MIN]), "within an hour"),
         (Motion, "imu_stamp", times(&[-5; 3]), "2 values for 3 stamps"),

@@ -53,6 +53,7 @@ mod mcap_writer;
 mod merge;
 pub mod motion;
 mod motion_faults;
+pub mod outline;
 mod owner;
 pub mod packets;
 pub mod pose;

@@ -25,6 +25,8 @@ pub enum Schema {
     MarkerArray,
     /// Frames for viewers.
     TfMessage,
+    /// Outlines of agents, in recordings.
+    PolygonStamped,
     /// JSON documents.
     String,
     /// Headers of what crossed a link.
@@ -37,7 +39,7 @@ pub enum Schema {
 
 impl Schema {
     /// The types of logs.
-    const ALL: [Schema; 14] = [
+    const ALL: [Schema; 15] = [
         Schema::PointCloud2,
         Schema::Header,
         Schema::PoseWithCovarianceStamped,
@@ -49,6 +51,7 @@ impl Schema {
         Schema::Views,
         Schema::MarkerArray,
         Schema::TfMessage,
+        Schema::PolygonStamped,
         Schema::String,
         Schema::PacketInfo,
         Schema::SentPacket,
@@ -99,6 +102,7 @@ impl Schema {
             Schema::Views => "realo_msgs/Views",
             Schema::MarkerArray => "visualization_msgs/MarkerArray",
             Schema::TfMessage => "tf2_msgs/TFMessage",
+            Schema::PolygonStamped => "geometry_msgs/PolygonStamped",
             Schema::String => "std_msgs/String",
             Schema::PacketInfo => "realo_msgs/PacketInfo",
             Schema::SentPacket => "realo_msgs/SentPacket",
@@ -180,6 +184,12 @@ const DEFINITIONS: &[(&str, &str)] = &[
         "std_msgs/Header header\nstring child_frame_id\ngeometry_msgs/Transform transform\n",
     ),
     ("tf2_msgs/TFMessage", "geometry_msgs/TransformStamped[] transforms\n"),
+    ("geometry_msgs/Point32", "float32 x\nfloat32 y\nfloat32 z\n"),
+    ("geometry_msgs/Polygon", "geometry_msgs/Point32[] points\n"),
+    (
+        "geometry_msgs/PolygonStamped",
+        "std_msgs/Header header\ngeometry_msgs/Polygon polygon\n",
+    ),
     (
         "sensor_msgs/PointField",
         "uint8 INT8=1\nuint8 UINT8=2\nuint8 INT16=3\nuint8 UINT16=4\nuint8 INT32=5\nuint8 UINT32=6\n\

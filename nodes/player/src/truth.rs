@@ -26,7 +26,8 @@ type Key = (Name, Stream, Nanos);
 pub struct TruthJoin {
     reader: Option<LogReader>,
     agents: Vec<Name>,
-    footprint: Option<[f64; 4]>,
+    /// By agent.
+    footprints: Vec<Option<[f64; 4]>>,
     /// Arrays that wait for their companion, and companions that wait for their array: by agent, stream of the array and stamp.
     boxes: BTreeMap<Key, Boxes>,
     companions: BTreeMap<Key, Entry>,
@@ -73,6 +74,10 @@ struct Counts {
     by_track: BTreeMap<u64, u32>,
 }
 
+fn footprint(log: &Log, agent: &Name) -> Option<[f64; 4]> {
+    log.info().agent(agent)?.footprint
+}
+
 impl TruthJoin {
     /// `agents`: the ego, then its collaborators. Sweeps lie at log times from `from` on. `level` makes what is around the
     /// ego level.
@@ -114,7 +119,7 @@ impl TruthJoin {
         Ok(TruthJoin {
             reader,
             agents: agents.to_vec(),
-            footprint: log.info().agent(ego).and_then(|info| info.footprint),
+            footprints: agents.iter().map(|agent| footprint(log, agent)).collect(),
             boxes: BTreeMap::new(),
             companions: BTreeMap::new(),
             just_read: BTreeSet::new(),
@@ -143,7 +148,8 @@ impl TruthJoin {
         let lost = self.forget(stamp);
         let mut truth = GroundTruth {
             agents: self.agents.clone(),
-            ego_footprint: self.footprint,
+            ego_footprint: self.footprints[0],
+            other_footprints: self.footprints[1..].to_vec(),
             ..GroundTruth::default()
         };
         let Some(at) = same(&self.ego, stamp) else {

@@ -185,6 +185,7 @@ fn joins_the_points_of_the_nearest_sweeps() {
         assert_eq!(agents, ["cav1", "cav2", "rsu1"]);
         assert_eq!(truth.key, sweep % 2 == 0);
         assert_eq!(truth.ego_footprint, Some([-1.0, 3.0, -1.0, 1.0]));
+        assert_eq!(truth.other_footprints, [Some([-1.0, 3.0, -1.0, 1.0]); 2]);
         assert_eq!(truth.boxes, [object(1), object(2), object(3)]);
         // cav2's sweep is 20 ms later, rsu1's 30 ms earlier.
         let n = sweep as u32;
@@ -473,6 +474,7 @@ fn says_what_a_log_lacks() {
         [GroundTruth {
             agents: ["cav1", "cav2", "rsu1"].map(Into::into).to_vec(),
             ego_footprint: Some([-1.0, 3.0, -1.0, 1.0]),
+            other_footprints: vec![Some([-1.0, 3.0, -1.0, 1.0]); 2],
             ..GroundTruth::default()
         }]
     );

@@ -1,7 +1,7 @@
 //! What messages of a graph become on the topics of a recording, or of who watches.
 
 use realo_logs::cdr::CdrWriter;
-use realo_logs::{BoxesInfo, Schema, boxes, cloud, pose, views};
+use realo_logs::{BoxesInfo, Schema, boxes, cloud, outline, pose, views};
 use realo_schemas::geometry::View;
 use realo_schemas::report::Fated;
 use realo_schemas::{AgentState, Box3, Boxes, GroundTruth, Header, Nanos, Packet, PointCloud, Report, body_frame};
@@ -9,6 +9,8 @@ use serde_json::{Value, json};
 
 /// Topic of the reports that say what became of messages.
 pub const FATES: &str = "fates";
+/// Ending of the topics of agents' outlines.
+pub(crate) const FOOTPRINT: &str = "footprint";
 /// The topic of reports.
 const REPORTS: &str = "/reports";
 /// The frame of poses.
@@ -64,7 +66,8 @@ pub fn put_boxes<C: Channels>(to: &mut C, topic: &str, header: &Header, boxes: &
     put_with_info(to, topic, header, &boxes.0, BoxesInfo::default())
 }
 
-/// Puts what is there on `/<agent>/ground_truth` and `/<agent>/own_labels`.
+/// Puts what is there on `/<agent>/ground_truth` and `/<agent>/own_labels`, and the outline of each agent on
+/// `/<agent>/footprint`.
 ///
 /// # Errors
 /// As [`Channels::put`].
@@ -78,6 +81,7 @@ pub fn put_truth<C: Channels>(to: &mut C, header: &Header, truth: &GroundTruth) 
     };
     put_with_info(to, "ground_truth", header, &truth.boxes, info)?;
     put_views(to, "ground_truth", header, &truth.views)?;
+    put_footprints(to, header, truth)?;
     let Some(own) = &truth.own else {
         return Ok(());
     };
@@ -90,6 +94,17 @@ pub fn put_truth<C: Channels>(to: &mut C, header: &Header, truth: &GroundTruth) 
     };
     put_with_info(to, "own_labels", header, &own.boxes, info)?;
     put_views(to, "own_labels", header, &own.views)
+}
+
+/// The outlines of agents, as far as they are known.
+fn put_footprints<C: Channels>(to: &mut C, header: &Header, truth: &GroundTruth) -> Result<(), C::Error> {
+    for (agent, footprint) in truth.footprints() {
+        let (topic, frame) = (format!("/{agent}/{FOOTPRINT}"), body_frame(agent));
+        to.put(&topic, Schema::PolygonStamped, Times::of(header), |out| {
+            outline::encode(out, header.stamp, &frame, footprint)
+        })?;
+    }
+    Ok(())
 }
 
 /// Where the boxes of a topic could be labelled, if that is known.

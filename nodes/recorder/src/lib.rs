@@ -22,8 +22,8 @@ pub use channels::{
 pub use error::RecorderError;
 pub use log::{LogRecorder, Settings as LogSettings};
 pub use read::{
-    BoxesOf, ReportsOf, StatesOf, TruthOf, boxes_of, read_boxes, read_detections, read_reports, read_truth, reports_of,
-    states_of, truth_of,
+    BoxesOf, ReportsOf, StatesOf, TruthOf, boxes_of, footprints_of, read_boxes, read_detections, read_reports,
+    read_truth, reports_of, states_of, truth_of,
 };
 use recording::Recording;
 

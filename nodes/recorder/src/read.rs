@@ -1,8 +1,11 @@
 use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
+use crate::channels::FOOTPRINT;
 use realo_logs::cdr::CdrReader;
-use realo_logs::{BoxesInfo, LogError, McapFile, Messages, RECORDING_RECORD, RawMessage, Schema, boxes, pose, views};
+use realo_logs::{
+    BoxesInfo, LogError, McapFile, Messages, RECORDING_RECORD, RawMessage, Schema, boxes, outline, pose, views,
+};
 use realo_schemas::geometry::View;
 use realo_schemas::{
     AgentState, Boxes, GroundTruth, Header, Kind, Message, Name, Nanos, OwnLabels, Pose, PoseStatus, is_same_stamp,
@@ -27,7 +30,7 @@ pub fn read_detections(recording: impl AsRef<Path>) -> Result<Vec<Message>, LogE
     BoxesOf::open(recording.as_ref(), "/detections")?.collect()
 }
 
-/// The recorded ground truth, as [`read_boxes`]; without the ego's footprint.
+/// The recorded ground truth, as [`read_boxes`]; without the footprints of agents, which [`footprints_of`] gives.
 ///
 /// # Errors
 /// As [`read_boxes`].
@@ -84,6 +87,23 @@ pub fn reports_of(recording: impl AsRef<Path>) -> Result<ReportsOf, LogError> {
 pub fn states_of(recording: impl AsRef<Path>) -> Result<StatesOf, LogError> {
     let messages = Selected::open(recording.as_ref(), |topic| topic.ends_with("/pose"))?;
     Ok(StatesOf { messages })
+}
+
+/// The outlines `[x min, x max, y min, y max]` of agents in their body frames, m, to single precision: the first of each agent that
+/// has one.
+///
+/// # Errors
+/// A file that cannot be read or is no recording; a message that cannot be read.
+pub fn footprints_of(recording: impl AsRef<Path>) -> Result<BTreeMap<Name, [f64; 4]>, LogError> {
+    let mut messages = Selected::open(recording.as_ref(), |topic| topic.ends_with(&format!("/{FOOTPRINT}")))?;
+    let mut found = BTreeMap::new();
+    // All begin with the first truth.
+    while found.len() < messages.topics.len() {
+        let Some((topic, raw)) = messages.next()? else { break };
+        let read = outline::decode(raw.data()).map_err(bad_content(&topic, &raw))?;
+        found.entry(agent_of(&topic)).or_insert(read);
+    }
+    Ok(found)
 }
 
 const TRUTH: &str = "/ground_truth";
@@ -274,10 +294,8 @@ fn truth((header, boxes, info): WithCompanion) -> (Header, GroundTruth) {
         boxes: boxes.0,
         agents: info.agents,
         points: info.points.unwrap_or_default(),
-        ego_footprint: None,
         key: info.key,
-        views: Vec::new(),
-        own: None,
+        ..GroundTruth::default()
     };
     (header, truth)
 }
@@ -379,6 +397,7 @@ fn topics(file: &McapFile, wanted: impl Fn(&str) -> bool) -> BTreeMap<u16, Strin
             Schema::Views,
             Schema::String,
             Schema::PoseWithCovarianceStamped,
+            Schema::PolygonStamped,
         ]
         .iter()
         .any(|s| s.name() == schema)

@@ -5,7 +5,7 @@ use std::path::Path;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use realo_logs::{Log, LogError, McapFile};
 use realo_operator::{Books, NodeBooks, PortId, Sink, StageInputs};
-use realo_recorder::{FATES, Input, Recorder, Settings, read_boxes, read_reports, read_truth};
+use realo_recorder::{FATES, Input, Recorder, Settings, footprints_of, read_boxes, read_reports, read_truth};
 use realo_schemas::report::{Crossing, Fate, Fated, Use};
 use realo_schemas::{
     AgentState, Box3, Boxes, GroundTruth, Header, Kind, Message, Name, Nanos, Packet, Payload, PointCloud, Pose,
@@ -203,6 +203,36 @@ fn boxes_come_back_bit_for_bit_with_reports_and_the_rest() {
         "/tf",
     ];
     assert_eq!(topics(&path), expected);
+}
+
+#[test]
+fn the_outlines_of_agents_come_back() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = dir.path().join("r.mcap");
+    let mut recorder = Recorder::new(config(&path, false)).unwrap();
+    for seq in 0..30 {
+        let Message { header, payload } = truth(seq);
+        let Payload::GroundTruth(mut truth) = payload else {
+            panic!()
+        };
+        truth.agents.push("cav2".into());
+        truth.points.clear();
+        truth.ego_footprint = Some([-1.25, 3.5, -0.875, 0.875]);
+        truth.other_footprints = vec![None, Some([-1.0, 4.0, -1.0, 1.0])];
+        recorder.on_message(port("truth"), Message::new(header, truth)).unwrap();
+    }
+    recorder.finish(&books()).unwrap();
+    let found: Vec<(Name, [f64; 4])> = footprints_of(&path).unwrap().into_iter().collect();
+    assert_eq!(
+        found,
+        [
+            ("cav1".into(), [-1.25, 3.5, -0.875, 0.875]),
+            ("cav2".into(), [-1.0, 4.0, -1.0, 1.0])
+        ]
+    );
+    let topics = topics(&path);
+    let outlines: Vec<&String> = topics.iter().filter(|topic| topic.ends_with("/footprint")).collect();
+    assert_eq!(outlines, ["/cav1/footprint", "/cav2/footprint"]);
 }
 
 #[test]

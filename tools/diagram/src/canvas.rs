@@ -53,6 +53,18 @@ impl Canvas {
         }
     }
 
+    /// A rule in a row, below all lines, with words where they have room.
+    pub fn rule(&mut self, words: &str, y: usize) {
+        let length = words.chars().count();
+        let row = &self.lines[y * self.width..(y + 1) * self.width];
+        let is_free = |x: &usize| row[*x..].len() >= length && row[*x..*x + length].iter().all(|line| *line == 0);
+        // The last column stays empty.
+        let dots: Vec<usize> = (0..self.width - 1).filter(|x| row[*x] == 0).collect();
+        let place = (0..self.width).find(is_free).unwrap_or(0);
+        dots.into_iter().for_each(|x| self.write("┄", [x, y]));
+        self.write(words, [place, y]);
+    }
+
     /// The lines of text, without empty ones at the end.
     pub fn text(&self) -> String {
         let rows = self.lines.chunks(self.width).zip(self.words.chunks(self.width));

@@ -10,6 +10,8 @@ pub struct Item {
     pub layer: usize,
     /// How high it is.
     pub height: f64,
+    /// Counted from the top: all of a band is above all of the next one, in every layer.
+    pub band: usize,
 }
 
 /// A link from the right side of an item to the left side of another.
@@ -36,6 +38,8 @@ pub struct Gaps {
     pub lane: f64,
     /// How high a lane is.
     pub lane_height: f64,
+    /// Between two bands.
+    pub band: f64,
 }
 
 /// A side of a channel and the height there; channel `n` is left of layer `n`.
@@ -65,6 +69,8 @@ pub struct Arranged {
     pub tops: Vec<f64>,
     /// Of each link the channels in the order in which it passes them; between two it runs straight through a layer.
     pub routes: Vec<Vec<Hop>>,
+    /// Top and bottom of each band, its lanes included; `None` where it has nothing.
+    pub bands: Vec<Option<[f64; 2]>>,
     /// Of the whole.
     pub height: f64,
 }
@@ -112,6 +118,8 @@ struct Plan<'a> {
     /// Items first, then lanes.
     nodes: Vec<Item>,
     is_lane: Vec<bool>,
+    /// Between which heights the nodes of each band are.
+    limits: Vec<[f64; 2]>,
     tops: Vec<f64>,
     /// Nodes of each layer from the top.
     layers: Vec<Vec<usize>>,
@@ -124,6 +132,7 @@ impl<'a> Plan<'a> {
             gaps,
             nodes: items.to_vec(),
             is_lane: vec![false; items.len()],
+            limits: Vec::new(),
             tops: Vec::new(),
             layers: Vec::new(),
             steps: Vec::new(),
@@ -136,10 +145,43 @@ impl<'a> Plan<'a> {
         for (at, node) in plan.nodes.iter().enumerate() {
             plan.layers[node.layer].push(at);
         }
+        plan.limits = plan.limits();
         for layer in 0..layers {
             plan.settle(layer, |_| None);
         }
         plan
+    }
+
+    /// Room for each band, one below the other; a single one has all.
+    fn limits(&self) -> Vec<[f64; 2]> {
+        let count = self.nodes.iter().map(|node| node.band + 1).max().unwrap_or(0);
+        if count < 2 {
+            return vec![[f64::NEG_INFINITY, f64::INFINITY]; count];
+        }
+        let mut below = 0.0;
+        let mut limits = Vec::with_capacity(count);
+        for band in 0..count {
+            let rooms = self.layers.iter().map(|nodes| self.room(nodes, band));
+            let height = rooms.fold(0.0, f64::max);
+            limits.push([below, below + height]);
+            below += height + if height > 0.0 { self.gaps.band } else { 0.0 };
+        }
+        limits
+    }
+
+    /// How high the nodes of a band in a layer are at most, in any order.
+    fn room(&self, nodes: &[usize], band: usize) -> f64 {
+        let members: Vec<usize> = nodes
+            .iter()
+            .copied()
+            .filter(|node| self.nodes[*node].band == band)
+            .collect();
+        let heights: f64 = members.iter().map(|node| self.nodes[*node].height).sum();
+        let gaps = members.len().saturating_sub(1);
+        // An item has two neighbours at most.
+        let items = members.iter().filter(|node| !self.is_lane[**node]).count();
+        let wide = gaps.min(2 * items);
+        heights + wide as f64 * self.gaps.item.max(self.gaps.lane) + (gaps - wide) as f64 * self.gaps.lane
     }
 
     /// A link from layer to layer. What leads back passes through lanes of its own, from right to left.
@@ -162,6 +204,7 @@ impl<'a> Plan<'a> {
                 self.nodes.push(Item {
                     layer,
                     height: self.gaps.lane_height,
+                    band: self.nodes[link.from].band,
                 });
                 self.is_lane.push(true);
                 self.nodes.len() - 1
@@ -273,16 +316,34 @@ impl<'a> Plan<'a> {
             .wanted(layer, false)
             .get(&node)
             .map_or(self.tops[node], |(wish, _)| wish.round());
+        let [low, high] = self.limits[self.nodes[node].band];
+        let wish = wish.min(high - self.nodes[node].height);
         let wish = most.map_or(wish, |most| wish.min(most));
-        least.map_or(wish, |least| wish.max(least))
+        least.map_or(wish, |least| wish.max(least)).max(low)
     }
 
-    /// Orders a layer by where its nodes want their tops to be, and puts them as near as they may be.
+    /// Orders each band of a layer by where its nodes want their tops to be, and puts them as near as they may be.
     fn settle(&mut self, layer: usize, wanted: impl Fn(usize) -> Option<(f64, f64)>) {
         let mut nodes = std::mem::take(&mut self.layers[layer]);
         let wish = |node: usize| wanted(node).unwrap_or((self.tops[node], 0.1));
         let middle = |node: &usize| wish(*node).0 + self.nodes[*node].height / 2.0;
-        nodes.sort_by(|a, b| middle(a).total_cmp(&middle(b)).then(a.cmp(b)));
+        let band = |node: &usize| self.nodes[*node].band;
+        nodes.sort_by(|a, b| {
+            let by_wish = middle(a).total_cmp(&middle(b)).then(a.cmp(b));
+            band(a).cmp(&band(b)).then(by_wish)
+        });
+        let places: Vec<f64> = nodes
+            .chunk_by(|a, b| band(a) == band(b))
+            .flat_map(|of_band| self.settled(of_band, &wish))
+            .collect();
+        for (node, place) in nodes.iter().zip(places) {
+            self.tops[*node] = place;
+        }
+        self.layers[layer] = nodes;
+    }
+
+    /// Where the tops of a band's nodes are in their order, as near to what they want as they may be.
+    fn settled(&self, nodes: &[usize], wish: &impl Fn(usize) -> (f64, f64)) -> Vec<f64> {
         let mut offsets = Vec::with_capacity(nodes.len());
         let mut below = 0.0;
         for (at, node) in nodes.iter().enumerate() {
@@ -296,11 +357,11 @@ impl<'a> Plan<'a> {
             let (top, weight) = wish(*node);
             (top - offset, weight)
         });
-        let places = rising(wishes);
-        for ((node, offset), place) in nodes.iter().zip(&offsets).zip(places) {
-            self.tops[*node] = place.round() + offset;
-        }
-        self.layers[layer] = nodes;
+        let [low, high] = self.limits[self.nodes[nodes[0]].band];
+        let places = rising(wishes).into_iter().zip(&offsets);
+        places
+            .map(|(place, offset)| place.round().min(high - below).max(low) + offset)
+            .collect()
     }
 
     fn gap(&self, above: usize, below: usize) -> f64 {
@@ -328,11 +389,19 @@ impl<'a> Plan<'a> {
         (crossings, climbed.sum::<f64>().round() as i64)
     }
 
+    /// Top and bottom of a band.
+    fn extent(&self, band: usize) -> Option<[f64; 2]> {
+        let members = (0..self.nodes.len()).filter(|node| self.nodes[*node].band == band);
+        let rows = members.map(|node| [self.tops[node], self.tops[node] + self.nodes[node].height]);
+        rows.reduce(|[top, bottom], [from, to]| [top.min(from), bottom.max(to)])
+    }
+
     fn arranged(mut self, items: usize) -> Arranged {
         let top = self.tops.iter().copied().fold(f64::INFINITY, f64::min);
         self.tops.iter_mut().for_each(|place| *place -= top);
         let bottoms = self.tops.iter().zip(&self.nodes).map(|(top, node)| top + node.height);
         let height = bottoms.fold(0.0, f64::max);
+        let bands = (0..self.limits.len()).map(|band| self.extent(band)).collect();
         let at = |side: &Side| At {
             // The right side of a node is the left side of the channel behind it.
             is_right: !side.is_right,
@@ -344,6 +413,7 @@ impl<'a> Plan<'a> {
             to: at(&step.to),
         };
         Arranged {
+            bands,
             tops: self.tops[..items].to_vec(),
             routes: self.steps.iter().map(|steps| steps.iter().map(hop).collect()).collect(),
             height,

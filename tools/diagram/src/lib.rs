@@ -1,5 +1,5 @@
 //! A graph as a picture: processes in layers from left to right, in each its stages from top to bottom, modules as frames
-//! around stages, and every wire from an output to an input.
+//! around stages, groups as frames around processes, and every wire from an output to an input.
 //!
 //! - [`svg()`]: for a page, dark or light as the reader's system is.
 //! - [`text()`]: for a terminal of any width.
@@ -28,12 +28,23 @@ pub struct Diagram {
     pub title: String,
     /// What else there is to say, a line each.
     pub about: Vec<String>,
+    /// Groups of processes, one below the other.
+    pub groups: Vec<Group>,
     /// What the system starts.
     pub processes: Vec<Process>,
     /// Their stages; those of one process keep their order where no wire says otherwise.
     pub stages: Vec<Stage>,
     /// From outputs to inputs.
     pub wires: Vec<Wire>,
+}
+
+/// Processes that belong together.
+#[derive(Clone, Debug, Default, PartialEq, Eq)]
+pub struct Group {
+    /// Its name.
+    pub name: String,
+    /// What holds it together, such as a module or a machine.
+    pub what: String,
 }
 
 /// A process and the stages in it.
@@ -45,6 +56,8 @@ pub struct Process {
     pub what: String,
     /// Whether it is its only stage, and bears its name.
     pub is_stage: bool,
+    /// Index of the group that it is in.
+    pub group: Option<usize>,
 }
 
 /// A stage of a process.
@@ -105,6 +118,12 @@ impl Diagram {
     /// The process of a stage.
     fn process_of(&self, end: End) -> usize {
         self.stages[end.stage].process
+    }
+
+    /// The band of each process: groups are bands one below the other, in their order, and whoever is in none comes last.
+    fn bands(&self) -> Vec<usize> {
+        let band = |process: &Process| process.group.unwrap_or(self.groups.len());
+        self.processes.iter().map(band).collect()
     }
 
     /// Whether both ends are in one process.

@@ -13,6 +13,7 @@ const GAPS: Gaps = Gaps {
     item: 0.0,
     lane: 0.0,
     lane_height: 1.0,
+    band: 1.0,
 };
 /// Between layers, beside the wires that climb: a line at its begin, and an arrow.
 const BESIDE: usize = 3;
@@ -25,9 +26,11 @@ pub fn overview(diagram: &Diagram, width: usize) -> String {
     let layers = blocks::layers(diagram);
     let items: Vec<Item> = layers
         .iter()
-        .map(|layer| Item {
+        .zip(diagram.bands())
+        .map(|(layer, band)| Item {
             layer: *layer,
             height: HEIGHT,
+            band,
         })
         .collect();
     let pairs: BTreeSet<(usize, usize)> = diagram
@@ -47,7 +50,7 @@ pub fn overview(diagram: &Diagram, width: usize) -> String {
     let arranged = arrange(&items, &links, &GAPS);
     let drawn = Drawn::of(diagram, &layers, &links, &arranged);
     match drawn.width <= width {
-        true => drawn.text(&links),
+        true => drawn.text(diagram, &links),
         false => String::new(),
     }
 }
@@ -136,7 +139,10 @@ impl<'a> Drawn<'a> {
         }
     }
 
-    fn text(&self, links: &[Link]) -> String {
+    fn text(&self, diagram: &Diagram, links: &[Link]) -> String {
+        // The name of a group is in the row above it.
+        let head = usize::from(!diagram.groups.is_empty());
+        let row = |y| row(y) + head;
         let mut canvas = Canvas::new(self.width + 1, row(self.arranged.height) + 1);
         for (link, route) in links.iter().zip(&self.arranged.routes) {
             let [left, _] = self.places[self.layers[link.from]];
@@ -165,6 +171,13 @@ impl<'a> Drawn<'a> {
             if links.iter().any(|link| link.to == process) {
                 canvas.write("▸", [x - 1, y + 1]);
             }
+        }
+        for (group, band) in diagram.groups.iter().zip(&self.arranged.bands) {
+            let Some([top, _]) = band else { continue };
+            canvas.rule(
+                &printable(&format!("┄ {} ({}) ", group.name, group.what)),
+                row(*top) - 1,
+            );
         }
         canvas.text()
     }

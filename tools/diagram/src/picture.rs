@@ -6,7 +6,7 @@ use realo_render::{Fonts, Weight};
 
 use crate::column::{Column, NAME, SMALL, width};
 use crate::layers::{Arranged, Gaps, Item, Link, arrange};
-use crate::{Diagram, End, blocks};
+use crate::{Diagram, End, Group, blocks};
 
 /// Around the picture.
 const MARGIN: f64 = 16.0;
@@ -20,6 +20,11 @@ const GAP: f64 = 24.0;
 const LANE: f64 = 9.0;
 /// Between two layers: the least, and how much more where wires climb, up to a limit.
 const CHANNEL: [f64; 3] = [54.0, 0.18, 120.0];
+
+/// From the frame of a group to the processes in it.
+const PAD: f64 = 12.0;
+/// Height of a group's name.
+const GROUP: f64 = 24.0;
 
 /// A rectangle.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -54,6 +59,14 @@ impl Rect {
         !apart(self.x, self.width, other.x, other.width) && !apart(self.y, self.height, other.y, other.height)
     }
 
+    /// The smallest that holds both.
+    fn around(&self, other: &Rect) -> Rect {
+        let (x, y) = (self.x.min(other.x), self.y.min(other.y));
+        let right = (self.x + self.width).max(other.x + other.width);
+        let bottom = (self.y + self.height).max(other.y + other.height);
+        Rect::new([x, y], [right - x, bottom - y])
+    }
+
     /// Whether the other lies within.
     pub fn holds(&self, other: &Rect) -> bool {
         other.x >= self.x
@@ -63,14 +76,14 @@ impl Rect {
     }
 }
 
-/// A process or a module.
+/// A group, a process or a module.
 #[derive(Clone, Debug, PartialEq)]
 pub struct FrameAt {
     /// Where it is.
     pub rect: Rect,
     /// Its name.
     pub name: String,
-    /// What it runs.
+    /// What it is or runs.
     pub what: String,
     /// Whether it is a process.
     pub is_process: bool,
@@ -116,6 +129,8 @@ pub struct Picture {
     pub size: [f64; 2],
     /// From where the diagram is drawn; what it is stands above.
     pub top: f64,
+    /// Groups of processes.
+    pub groups: Vec<FrameAt>,
     /// Processes and modules, outer ones first.
     pub frames: Vec<FrameAt>,
     /// Stages.
@@ -135,9 +150,11 @@ pub fn picture(diagram: &Diagram) -> Picture {
     let items: Vec<Item> = columns
         .iter()
         .zip(&layers)
-        .map(|(column, layer)| Item {
+        .zip(diagram.bands())
+        .map(|((column, layer), band)| Item {
             layer: *layer,
             height: column.size[1].ceil(),
+            band,
         })
         .collect();
     let outer: Vec<Link> = links.iter().map(|(_, link)| *link).collect();
@@ -145,10 +162,17 @@ pub fn picture(diagram: &Diagram) -> Picture {
         item: GAP,
         lane: LANE,
         lane_height: 2.0,
+        band: 2.0 * PAD + GROUP + GAP,
     };
     let arranged = arrange(&items, &outer, &gaps);
-    let top = MARGIN + TITLE + LEADING * diagram.about.len() as f64 + 14.0;
-    let across = Across::of(&layers, &columns, &arranged);
+    // Room for the frames of groups.
+    let [side, head] = if diagram.groups.is_empty() {
+        [0.0; 2]
+    } else {
+        [PAD, PAD + GROUP]
+    };
+    let top = MARGIN + TITLE + LEADING * diagram.about.len() as f64 + 14.0 + head;
+    let across = Across::of(&layers, &columns, &arranged, MARGIN + side);
     let places: Vec<[f64; 2]> = layers
         .iter()
         .zip(&arranged.tops)
@@ -156,10 +180,11 @@ pub fn picture(diagram: &Diagram) -> Picture {
         .collect();
     let mut drawn = Picture {
         size: [
-            across.right.max(above(diagram, &fonts)) + MARGIN,
-            top + arranged.height + MARGIN,
+            (across.right + side).max(above(diagram, &fonts)) + MARGIN,
+            top + arranged.height + side + MARGIN,
         ],
         top,
+        groups: Vec::new(),
         frames: Vec::new(),
         boxes: Vec::new(),
         wires: Vec::new(),
@@ -168,7 +193,28 @@ pub fn picture(diagram: &Diagram) -> Picture {
         drawn.take(column, *place);
     }
     drawn.wires = wires(diagram, &drawn, &columns, &places, &links, &arranged, &across);
+    drawn.groups = groups(diagram, &columns, &places);
     drawn
+}
+
+/// The frames around the processes of each group.
+fn groups(diagram: &Diagram, columns: &[Column], places: &[[f64; 2]]) -> Vec<FrameAt> {
+    let frame = |(at, group): (usize, &Group)| {
+        let members = (0..columns.len()).filter(|process| diagram.processes[*process].group == Some(at));
+        let rects = members.map(|process| Rect::new(places[process], columns[process].size));
+        let around = rects.reduce(|all, rect| all.around(&rect))?;
+        let rect = Rect::new(
+            [around.x - PAD, around.y - PAD - GROUP],
+            [around.width + 2.0 * PAD, around.height + 2.0 * PAD + GROUP],
+        );
+        Some(FrameAt {
+            rect,
+            name: group.name.clone(),
+            what: group.what.clone(),
+            is_process: false,
+        })
+    };
+    diagram.groups.iter().enumerate().filter_map(frame).collect()
 }
 
 /// How wide the lines above the picture are.
@@ -208,13 +254,14 @@ fn links(diagram: &Diagram, columns: &[Column]) -> Vec<(usize, Link)> {
 
 /// Where layers and the channels between them are.
 struct Across {
+    left: f64,
     /// Left and right of each layer.
     layers: Vec<[f64; 2]>,
     right: f64,
 }
 
 impl Across {
-    fn of(layers: &[usize], columns: &[Column], arranged: &Arranged) -> Self {
+    fn of(layers: &[usize], columns: &[Column], arranged: &Arranged, left: f64) -> Self {
         let count = layers.iter().map(|layer| layer + 1).max().unwrap_or(0);
         let hops = || arranged.routes.iter().flatten();
         let channel = |at: usize| {
@@ -230,7 +277,7 @@ impl Across {
                 false => least,
             }
         };
-        let mut x = MARGIN + channel(0);
+        let mut x = left + channel(0);
         let mut found = Vec::new();
         for layer in 0..count {
             let members = layers.iter().zip(columns).filter(|(of, _)| **of == layer);
@@ -239,6 +286,7 @@ impl Across {
             x += width + channel(layer + 1);
         }
         Across {
+            left,
             layers: found,
             right: x,
         }
@@ -246,7 +294,7 @@ impl Across {
 
     /// Left and right of a channel; channel `n` is left of layer `n`.
     fn channel(&self, at: usize) -> [f64; 2] {
-        let left = at.checked_sub(1).map_or(MARGIN, |layer| self.layers[layer][1]);
+        let left = at.checked_sub(1).map_or(self.left, |layer| self.layers[layer][1]);
         let right = self.layers.get(at).map_or(self.right, |layer| layer[0]);
         [left, right]
     }

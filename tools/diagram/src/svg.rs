@@ -10,11 +10,11 @@ use crate::{Diagram, Port};
 
 /// Colours of the page, light and dark.
 const STYLE: &str = "\
-svg{--page:#ffffff;--process:#f3f5f7;--module:#e4e9ee;--box:#ffffff;--line:#b9c3cd;--ink:#17212b;--muted:#5d6b79;--lost:#c24e00;\
+svg{--page:#ffffff;--group:#fafbfc;--process:#f3f5f7;--module:#e4e9ee;--box:#ffffff;--line:#b9c3cd;--ink:#17212b;--muted:#5d6b79;--lost:#c24e00;\
 --points:#0072b2;--features:#b06a00;--boxes:#00795a;--state:#a8407d;--packet:#17212b;--other:#6b7783}\
-@media (prefers-color-scheme:dark){svg{--page:#0a1118;--process:#101820;--module:#192430;--box:#16202a;--line:#3a4a5a;--ink:#e8edf2;\
+@media (prefers-color-scheme:dark){svg{--page:#0a1118;--group:#0c151e;--process:#101820;--module:#192430;--box:#16202a;--line:#3a4a5a;--ink:#e8edf2;\
 --muted:#9fb0c0;--lost:#ff8a5c;--points:#56b4e9;--features:#e69f00;--boxes:#2fbf9a;--state:#e09ac4;--packet:#e8edf2;--other:#8c9cab}}\
-.page{fill:var(--page)}.process{fill:var(--process);stroke:var(--line)}.module{fill:var(--module);stroke:var(--line);stroke-dasharray:3 3}\
+.page{fill:var(--page)}.group{fill:var(--group);stroke:var(--line);stroke-width:1.5}.process{fill:var(--process);stroke:var(--line)}.module{fill:var(--module);stroke:var(--line);stroke-dasharray:3 3}\
 .stage{fill:var(--box);stroke:var(--line)}text{fill:var(--ink);font-family:Inter,system-ui,'Segoe UI',Roboto,'Liberation Sans',sans-serif}\
 .bold{font-weight:600}.muted{fill:var(--muted)}.lost{fill:var(--lost);font-weight:600}\
 .wire{fill:none;stroke-width:1.5}.head,.dot{stroke:none}.rim{fill:none;stroke:var(--process);stroke-width:4}";
@@ -46,6 +46,7 @@ pub fn svg(diagram: &Diagram) -> String {
         fonts: Fonts::new(),
     };
     page.head(diagram);
+    drawn.groups.iter().for_each(|group| page.group(group));
     drawn.frames.iter().for_each(|frame| page.frame(frame));
     page.wires(diagram, &drawn);
     drawn.boxes.iter().for_each(|drawn| page.stage(diagram, drawn));
@@ -103,6 +104,13 @@ impl Page {
             let y = 16.0 + TITLE + LEADING * (at as f64 + 0.8);
             self.line(line, [16.0, y], LETTERS[1] + 1.0, "muted", Align::Left);
         }
+    }
+
+    fn group(&mut self, group: &FrameAt) {
+        self.rect("group", &group.rect, 12, &format!("{}: {}", group.name, group.what));
+        let [x, y] = [group.rect.x + 12.0, group.rect.y + 22.0];
+        let end = self.line(&group.name, [x, y], LETTERS[0] + 1.0, "bold", Align::Left);
+        self.line(&group.what, [end + 8.0, y], LETTERS[1], "muted", Align::Left);
     }
 
     fn frame(&mut self, frame: &FrameAt) {

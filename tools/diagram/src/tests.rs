@@ -56,6 +56,7 @@ fn small() -> Diagram {
     Diagram {
         title: "small".into(),
         about: vec!["what it is".into()],
+        groups: Vec::new(),
         processes: processes(&["player", "others", "v2x", "score"]),
         stages,
         wires: vec![
@@ -81,6 +82,7 @@ fn check(diagram: &Diagram) {
     assert_eq!(drawn.wires.len(), diagram.wires.len(), "every wire is drawn");
     let processes: Vec<&FrameAt> = drawn.frames.iter().filter(|frame| frame.is_process).collect();
     assert_eq!(processes.len(), diagram.processes.len());
+    check_groups(diagram, &drawn, &processes);
     for (at, one) in drawn.boxes.iter().enumerate() {
         assert!(page.holds(&one.rect), "{:?} is outside of {page:?}", one.rect);
         let stage = &diagram.stages[one.stage];
@@ -121,6 +123,25 @@ fn check(diagram: &Diagram) {
     roxmltree::Document::parse(&page).expect("it is XML");
     assert_eq!(page.matches("class=\"wire\"").count(), diagram.wires.len());
     assert_eq!(page, svg(diagram), "a picture is the same every time");
+}
+
+/// The frame of a group holds its processes, and nothing of another one.
+fn check_groups(diagram: &Diagram, drawn: &Picture, processes: &[&FrameAt]) {
+    let page = Rect::new([0.0, 0.0], drawn.size);
+    for frame in &drawn.groups {
+        assert!(page.holds(&frame.rect) && frame.rect.y >= drawn.top - 40.0, "{frame:?}");
+        let group = diagram.groups.iter().position(|group| group.name == frame.name);
+        for (process, at) in diagram.processes.iter().zip(processes) {
+            match process.group == group {
+                true => assert!(frame.rect.holds(&at.rect), "{} is not in {}", at.name, frame.name),
+                false => assert!(!frame.rect.overlaps(&at.rect), "{} is in {}", at.name, frame.name),
+            }
+        }
+        let others = drawn.groups.iter().filter(|other| other.name != frame.name);
+        others.for_each(|other| assert!(!frame.rect.overlaps(&other.rect), "{frame:?} and {other:?}"));
+    }
+    let used: BTreeSet<usize> = diagram.processes.iter().filter_map(|process| process.group).collect();
+    assert_eq!(drawn.groups.len(), used.len());
 }
 
 /// No horizontal part of a wire between processes lies on a process other than its own.
@@ -186,6 +207,41 @@ fn processes_stand_from_left_to_right_and_stages_below_what_they_take_from() {
     assert!(names.contains(&"detected") && names.contains(&"inner"));
     assert_eq!(small().name_of(2), "others.detected.inner.nms");
     assert_eq!(small().name_of(4), "player");
+}
+
+/// The same with the link in one group, and what is around it in another.
+fn grouped() -> Diagram {
+    let mut diagram = small();
+    let group = |name: &str, what: &str| Group {
+        name: name.into(),
+        what: what.into(),
+    };
+    diagram.groups = vec![group("scene", "module"), group("air", "module")];
+    for (process, group) in diagram.processes.iter_mut().zip([0, 0, 1, 0]) {
+        process.group = Some(group);
+    }
+    diagram
+}
+
+#[test]
+fn groups_are_framed_one_below_the_other_and_named() {
+    let diagram = grouped();
+    check(&diagram);
+    let drawn = picture(&diagram);
+    assert!(drawn.groups[0].rect.y + drawn.groups[0].rect.height < drawn.groups[1].rect.y);
+    let page = svg(&diagram);
+    assert!(page.contains("class=\"group\"") && page.contains(">scene</text>") && page.contains(">module</text>"));
+    assert_eq!(page.matches("class=\"group\"").count(), 2);
+    let flow = overview::overview(&diagram, 80);
+    let rows: Vec<&str> = flow.lines().collect();
+    let at = |words: &str| rows.iter().position(|row| row.contains(words)).expect("it is there");
+    assert!(at("┄ scene (module) ┄") < at("│ player │"), "{flow}");
+    assert!(at("│ others │") < at("┄ air (module) ┄"), "{flow}");
+    assert!(at("┄ air (module) ┄") < at("│ v2x │"), "{flow}");
+    let mut some = grouped();
+    some.processes[3].group = None;
+    some.groups.push(Group::default());
+    check(&some);
 }
 
 #[test]
@@ -288,12 +344,23 @@ fn processes_flow_to_each_other_in_a_terminal() {
 fn nonsense() -> impl Strategy<Value = Diagram> {
     let stages = prop::collection::vec((0..5_usize, 0..3_usize, 0..3_usize), 1..14);
     let wires = prop::collection::vec((0..14_usize, 0..14_usize, any::<bool>()), 0..30);
-    (stages, wires).prop_map(|(stages, wires)| {
+    let groups = prop::collection::vec(0..5_usize, 5);
+    (stages, wires, groups).prop_map(|(stages, wires, groups)| {
         let mut diagram = Diagram {
             title: "any".into(),
             processes: processes(&["a", "b", "c", "d", "e"]),
             ..Diagram::default()
         };
+        let names = ["one", "two", "three"].map(String::from);
+        diagram.groups = names
+            .map(|name| Group {
+                name,
+                ..Group::default()
+            })
+            .to_vec();
+        for (process, group) in diagram.processes.iter_mut().zip(groups) {
+            process.group = Some(group).filter(|group| *group < 3);
+        }
         for (at, (process, module, depth)) in stages.into_iter().enumerate() {
             let mut stage = stage(process, &format!("stage{at}"), &[], &[]);
             stage.modules = (0..depth).map(|level| format!("m{module}{level}")).collect();

@@ -11,8 +11,10 @@ use serde_json::{Value, json};
 
 use crate::PageError;
 use crate::curves::{PrecisionRecall, age_quantiles, precision_recall, quantiles};
+use crate::html::escaped;
 use crate::points::CloudPart;
-use crate::scenes::ScenePart;
+use crate::recorded::FEWER_SWEEPS;
+use crate::scenes::{FEWER_MESSAGES, ScenePart};
 
 /// All that a page shows.
 #[derive(Debug, Serialize)]
@@ -129,50 +131,72 @@ impl Document {
         runs.map(|run| run.messages.len()).sum()
     }
 
-    /// The document as JSON, thinned to so many bytes at most: every 2nd, 4th, 8th … sweep of the player is kept. What was
-    /// taken away is said in [`Document::left_out`].
+    /// The document as JSON, thinned to so many bytes at most as the page writes it: every 2nd, 4th, 8th … sweep of the player
+    /// is kept. What was taken away is said in [`Document::left_out`].
     ///
     /// # Errors
     /// [`PageError::TooLarge`] where the rest is too large without any sweep.
     pub fn fitted(&mut self, most: usize) -> Result<String, PageError> {
         let mut stride: u64 = 1;
-        let (scenes, messages) = (self.scenes.len(), self.messages());
+        let (scenes, all) = (self.scenes.len(), self.totals());
         loop {
             let text = self.json()?;
-            if text.len() <= most {
+            let bytes = written(&text);
+            if bytes <= most {
                 return Ok(text);
             }
             if self.sweeps() == 0 {
                 return Err(PageError::TooLarge {
                     runs: self.runs.len(),
-                    bytes: text.len(),
+                    bytes,
                     most,
                 });
             }
             // From far off at once: the rest of the document is small beside the sweeps.
-            let factor = (text.len() / most.max(1)) as u64 + 1;
+            let factor = (bytes / most.max(1)) as u64 + 1;
             stride = stride.saturating_mul(factor.next_power_of_two());
             self.thin(stride);
-            self.left_out.retain(|line| !line.starts_with(THINNED));
-            let mut gone = String::new();
-            if self.messages() < messages {
-                gone += &format!("; it has {} of {messages} messages", self.messages());
-            }
-            if self.scenes.len() < scenes {
-                gone += &format!(
-                    "; it has {} of {scenes} scenes, the others have no sweep left",
-                    self.scenes.len()
-                );
-            }
-            self.left_out.push(format!(
-                "{THINNED} {stride}, so that the page stays below {} MB{gone}; a report of fewer runs, or of one \
-                 log and ego (`RUN/LOG/EGO`), has more",
-                most / 1_000_000
-            ));
+            // It says it of all.
+            let said = |line: &String| line.contains(FEWER_SWEEPS) || line.contains(FEWER_MESSAGES);
+            self.left_out.retain(|line| !said(line) && !line.starts_with(THINNED));
+            self.left_out.push(self.thinned(stride, scenes, all, most));
         }
     }
 
-    fn json(&self) -> Result<String, PageError> {
+    /// Recorded sweeps and messages, with those that are not on the page.
+    fn totals(&self) -> [usize; 2] {
+        let runs = || self.scenes.iter().flat_map(|scene| &scene.runs);
+        [
+            runs().map(|run| run.recorded).sum(),
+            runs().map(|run| run.all_messages.max(run.messages.len())).sum(),
+        ]
+    }
+
+    /// What is said where every n-th sweep is left. `scenes`, `sweeps`, `messages`: how many there were.
+    fn thinned(&self, stride: u64, scenes: usize, [sweeps, messages]: [usize; 2], most: usize) -> String {
+        let mut gone = String::new();
+        if self.messages() < messages {
+            gone += &format!("; it has {} of {messages} messages", self.messages());
+        }
+        if self.scenes.len() < scenes {
+            gone += &format!(
+                "; it has {} of {scenes} scenes, the others have no sweep left",
+                self.scenes.len()
+            );
+        }
+        format!(
+            "{THINNED} {stride}, {} of {sweeps}, so that the page stays below {} MB{gone}; a report of fewer runs, or of one \
+             log and ego (`RUN/LOG/EGO`), has more",
+            self.sweeps(),
+            most.div_ceil(1_000_000)
+        )
+    }
+
+    /// The document as JSON.
+    ///
+    /// # Errors
+    /// One that JSON cannot hold.
+    pub fn json(&self) -> Result<String, PageError> {
         let mut value = serde_json::to_value(self)?;
         if let Some(fields) = value.as_object_mut() {
             fields.insert("words".into(), words());
@@ -202,6 +226,11 @@ impl Document {
     }
 }
 
+/// Bytes of a text of JSON on the page, which writes one letter of it longer.
+fn written(json: &str) -> usize {
+    json.len() + (escaped("<").len() - 1) * json.matches('<').count()
+}
+
 const THINNED: &str = "the player has one sweep of";
 
 #[cfg(test)]
@@ -229,8 +258,7 @@ mod tests {
             run: 0,
             recorded: sweeps as usize,
             frames: (0..sweeps).map(|seq| (seq, boxes())).collect(),
-            messages: Vec::new(),
-            carried: Vec::new(),
+            ..SceneRun::empty()
         };
         let mut scene = ScenePart::empty("log", "cav1");
         (scene.frames, scene.runs) = (frames, vec![of_run]);
@@ -259,6 +287,17 @@ mod tests {
             assert!(thin.sweeps() > 10 && thin.sweeps() * text.len() <= 3000 * 2 * most);
             assert_eq!(thin.left_out.len(), 1, "{:?}", thin.left_out);
         }
+    }
+
+    #[test]
+    fn a_document_fits_as_the_page_writes_it() {
+        let mut wild = document(10);
+        wild.differences = vec!["<".repeat(1000)];
+        let text = wild.json().unwrap();
+        assert_eq!(written(&text), escaped(&text).len());
+        let most = written(&text) - 1;
+        let fitted = wild.fitted(most).unwrap();
+        assert!(escaped(&fitted).len() <= most && wild.sweeps() < 10);
     }
 
     #[test]

@@ -1,6 +1,6 @@
 //! The page around the document.
 
-use realo_render::escaped;
+use realo_render::escaped as as_html;
 
 const PAGE: &str = include_str!("page/index.html");
 const STYLE: &str = include_str!("page/style.css");
@@ -20,11 +20,11 @@ const SCRIPTS: [&str; 4] = [
 /// element; the title is escaped for HTML.
 pub fn html(title: &str, json: &str, points: &str) -> String {
     filled([
-        ("title", escaped(title)),
+        ("title", as_html(title)),
         ("what", "report".into()),
         ("contact", String::new()),
         ("style", STYLE.into()),
-        ("data", json.replace('<', "\\u003c")),
+        ("data", escaped(json)),
         ("points", points.into()),
         ("scripts", SCRIPTS.join("\n")),
     ])
@@ -36,12 +36,17 @@ pub fn live_html(host: &str, json: &str) -> String {
     filled([
         ("title", "live".into()),
         ("what", "view".into()),
-        ("contact", format!("; connect-src ws://{}", escaped(host))),
+        ("contact", format!("; connect-src ws://{}", as_html(host))),
         ("style", STYLE.into()),
-        ("data", json.replace('<', "\\u003c")),
+        ("data", escaped(json)),
         ("points", String::new()),
         ("scripts", [TOOLS, PLAYER, LIVE].join("\n")),
     ])
+}
+
+/// JSON as it stands in a page: nothing in it ends an element.
+pub fn escaped(json: &str) -> String {
+    json.replace('<', "\\u003c")
 }
 
 fn filled(parts: [(&str, String); 7]) -> String {

@@ -57,7 +57,7 @@ pub struct Request {
     pub points: bool,
     /// Largest size of the page without points, bytes.
     pub most_bytes: usize,
-    /// Largest size of the points, bytes.
+    /// Largest size of the points and what says whose they are, bytes.
     pub most_point_bytes: usize,
 }
 
@@ -106,10 +106,6 @@ pub fn page(request: &Request, watch: &Watch) -> Result<Page, PageError> {
     }
     scenes.check_given(request)?;
     scenes.share_truth();
-    let points = match request.points {
-        true => Points::read(&mut scenes, request, &mut left_out, watch)?,
-        false => Points::default(),
-    };
     let mut document = Document {
         version: 1,
         program: realo_logs::program(),
@@ -118,15 +114,26 @@ pub fn page(request: &Request, watch: &Watch) -> Result<Page, PageError> {
         differences: differences(&borrowed),
         runs: borrowed.iter().map(|(name, run)| RunPart::of(name, run)).collect(),
         classes: names.classes,
-        scenes: scenes.parts,
-        points: points.index,
+        scenes: std::mem::take(&mut scenes.parts),
+        points: Vec::new(),
         left_out,
     };
-    let json = document.fitted(request.most_bytes)?;
+    let title = document.title();
+    let around = html(&title, "", "").len();
+    let mut json = document.fitted(request.most_bytes.saturating_sub(around))?;
+    let mut points = Points::default();
+    if request.points {
+        // Of the sweeps that are left.
+        scenes.parts = std::mem::take(&mut document.scenes);
+        points = Points::read(&scenes, request, &mut document.left_out, watch)?;
+        document.scenes = scenes.parts;
+        document.points = std::mem::take(&mut points.index);
+        json = document.json()?;
+    }
     Ok(Page {
         sweeps: document.sweeps(),
         points: points.count,
-        html: html(&document.title(), &json, &points.text),
+        html: html(&title, &json, &points.text),
         left_out: document.left_out,
     })
 }

@@ -202,10 +202,12 @@ impl Live {
             self.scene.start = stamp.to_string();
             map_from_ego.translation.vector.map(f64::round)
         });
-        let truth = sweep.truth.iter().flat_map(|(_, truth)| &truth.agents);
-        truth.for_each(|agent| {
-            self.scene.agent(agent, self.log.as_ref());
-        });
+        if let Some((_, truth)) = &sweep.truth {
+            self.scene.take_footprints(truth.footprints());
+            truth.agents.iter().for_each(|agent| {
+                self.scene.agent(agent, self.log.as_ref());
+            });
+        }
         let mut run = SceneRun::empty();
         let protocol = &self.watched.protocol;
         self.scene
@@ -242,7 +244,7 @@ impl Live {
             let Some(pose) = track.at(*at) else { continue };
             let (from, cloud) = placed(cloud, *at, track, &pose, origin);
             index.push(json!({
-                "agent": agent,
+                "agent": &**agent,
                 "t": (at - self.scene.start_ns) / 1_000_000,
                 "from": centimetres(from),
                 "points": [points.len() / 2, 3 * cloud.len()],
@@ -344,6 +346,7 @@ mod tests {
             boxes: vec![object(10.0)],
             agents: vec!["cav1".into(), "rsu1".into()],
             points: vec![50, 3],
+            ego_footprint: Some([-1.0, 3.5, -0.9, 0.9]),
             key: true,
             ..GroundTruth::default()
         };
@@ -379,6 +382,8 @@ mod tests {
         let (head, points) = read(&pictures[0]);
         assert_eq!(head["seq"], 3);
         assert_eq!(head["frame"]["poses"][1], json!([1000, 0, 0, 0]));
+        assert_eq!(head["agents"][0]["footprint"], json!([-100, 350, -90, 90]));
+        assert_eq!(head["agents"][1]["footprint"], json!(null));
         let outcomes: Vec<&Value> = head["run"]["boxes"]
             .as_array()
             .unwrap()

@@ -19,6 +19,8 @@ use crate::{PageError, Request, Watch};
 const STEP: f32 = 0.02;
 /// Bytes of base64 for a point of three numbers of 16 bits.
 const POINT_BYTES: usize = 8;
+/// Bytes that say whose a sweep is, of which time and where; about.
+const INDEX_BYTES: usize = 100;
 /// Sweeps so near to one of the ego are on the page.
 const NEAR: Nanos = 60_000_000;
 /// Points are thinned on cells of this side first, m, and then of ever larger ones.
@@ -59,7 +61,7 @@ impl Points {
     /// # Errors
     /// A log that is gone or cannot be read.
     pub fn read(
-        scenes: &mut Scenes,
+        scenes: &Scenes,
         request: &Request,
         left_out: &mut Vec<String>,
         watch: &Watch,
@@ -97,7 +99,8 @@ impl Points {
                 }
             }
         }
-        let most = request.most_point_bytes / POINT_BYTES / sweeps.max(1);
+        let room = request.most_point_bytes.saturating_sub(sweeps * INDEX_BYTES);
+        let most = room / POINT_BYTES / sweeps.max(1);
         let mut points = Points::default();
         let mut largest = 0.0f32;
         for (name, (agents, times, exact)) in &wanted {
@@ -387,6 +390,21 @@ mod tests {
             base64(plain.as_bytes(), &mut text);
             assert_eq!(text, coded);
         }
+    }
+
+    #[test]
+    fn points_are_those_that_the_page_reads() {
+        // `player.test.mjs` has the same text.
+        let mut points = Points::default();
+        points.add(
+            "log",
+            "cav1",
+            0,
+            [1000, -500, 20],
+            &[[1.0, -2.0, 0.5], [0.02, 655.34, -655.36]],
+        );
+        assert_eq!(points.text, "MgCc/xkAAQD/fwCA");
+        assert_eq!((points.count, points.index[0].text), (2, [0, 16]));
     }
 
     #[test]

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use realo_logs::MAX_GAP;
-use realo_recorder::{FATES, boxes_of, reports_of, states_of, truth_of};
+use realo_recorder::{FATES, boxes_of, footprints_of, reports_of, states_of, truth_of};
 use realo_schemas::geometry::PoseTrack;
 use realo_schemas::report::{Entry, Fated};
 use realo_schemas::{Boxes, GroundTruth, Header, Kind, Name, Nanos};
@@ -37,6 +37,8 @@ pub struct Recorded {
     pub unreadable: usize,
     /// Where each agent was in the map, as the graph knew it.
     pub poses: BTreeMap<Name, PoseTrack>,
+    /// Outlines of agents in their body frames, x min, x max, y min, y max, m.
+    pub footprints: BTreeMap<Name, [f64; 4]>,
 }
 
 /// What entered a channel in a second.
@@ -45,6 +47,9 @@ pub struct Carried {
     pub messages: u64,
     pub bytes: u64,
 }
+
+/// Stands in what is said of a recording of which not all sweeps are on the page.
+pub const FEWER_SWEEPS: &str = "sweeps, one of";
 
 /// Seconds of senders that are kept: more than a log has.
 const MOST_SECONDS: usize = 100_000;
@@ -64,6 +69,7 @@ impl Recorded {
             carried: BTreeMap::new(),
             unreadable: 0,
             poses: BTreeMap::new(),
+            footprints: BTreeMap::new(),
         }
     }
 
@@ -88,10 +94,11 @@ impl Recorded {
         recorded.total = numbers.len();
         recorded.read_fates(recording, ego)?;
         recorded.read_poses(recording)?;
+        recorded.footprints = footprints_of(recording)?;
         Ok(recorded)
     }
 
-    /// Takes the ego's outline, which a recording leaves out: boxes in it are the ego itself, and not false.
+    /// Takes the ego's outline, which truth leaves out in a recording: boxes in it are the ego itself, and not false.
     pub fn take_footprint(&mut self, footprint: Option<[f64; 4]>) {
         let truths = self.sweeps.values_mut().filter_map(|sweep| sweep.truth.as_mut());
         truths.for_each(|(_, truth)| truth.ego_footprint = footprint);
@@ -149,7 +156,7 @@ impl Recorded {
         let mut lines = Vec::new();
         if self.stride > 1 {
             lines.push(format!(
-                "{of}: the player has {} of {} sweeps, one of {}; a report of fewer runs, or of one log and ego \
+                "{of}: the player has {} of {} {FEWER_SWEEPS} {}; a report of fewer runs, or of one log and ego \
                  (`RUN/LOG/EGO`), has more",
                 self.sweeps.len(),
                 self.total,

@@ -13,7 +13,7 @@ use realo_render::{RECORDING, RenderError, clouds, single_runs};
 use realo_results::{Run, read_run};
 use realo_schemas::geometry::yaw_of;
 use realo_schemas::report::{Fate, Fated};
-use realo_schemas::{Box3, Kind, Nanos};
+use realo_schemas::{Box3, Kind, Name, Nanos};
 use realo_scoring::{Protocol, same_truth};
 use serde::Serialize;
 
@@ -24,6 +24,9 @@ use crate::{DifferentProtocols, PageError, Request};
 const MILLI: Nanos = 1_000_000;
 /// Messages of one recording that are on the page, at most; those that were not used go first.
 const MOST_MESSAGES: usize = 12_000;
+
+/// Stands in what is said of a run of which not all messages are on the page.
+pub const FEWER_MESSAGES: &str = "messages that were not used come first";
 
 /// Names of classes, each once; rows hold their places.
 #[derive(Debug, Default)]
@@ -87,6 +90,9 @@ pub struct ScenePart {
     /// Numbers of the log's tracks on the page: a track of a log may have more digits than a number of JavaScript.
     #[serde(skip)]
     pub tracks: BTreeMap<u64, i32>,
+    /// Outlines as a graph knew them, m.
+    #[serde(skip)]
+    footprints: BTreeMap<Name, [f64; 4]>,
 }
 
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -121,6 +127,9 @@ pub struct SceneRun {
     pub messages: Vec<[i64; 5]>,
     /// `[agent, time, messages, bytes]` of what each agent sent to the ego in a second, which begins at this time.
     pub carried: Vec<[i64; 4]>,
+    /// How many messages there are with those that are not on the page.
+    #[serde(skip)]
+    pub all_messages: usize,
 }
 
 impl SceneRun {
@@ -132,6 +141,7 @@ impl SceneRun {
             frames: BTreeMap::new(),
             messages: Vec::new(),
             carried: Vec::new(),
+            all_messages: 0,
         }
     }
 }
@@ -233,16 +243,18 @@ impl Scenes {
             Entry::Occupied(entry) => entry.into_mut(),
             Entry::Vacant(entry) => entry.insert(open(run, request, recorded, &mut self.given, left_out)?),
         };
-        match found {
-            Some(found) => recorded.take_footprint(found.info().agent(&ego).and_then(|agent| agent.footprint)),
-            None => {
-                let line = format!(
-                    "the log `{log}` is not here: the player knows no outlines of agents, and boxes on the ego itself count as \
-                     false there; say where it is with --log"
-                );
-                if !left_out.contains(&line) {
-                    left_out.push(line);
-                }
+        let outline = |found: &Log| found.info().agent(&ego).and_then(|agent| agent.footprint);
+        // The log's has more digits.
+        let logged = found.as_ref().and_then(outline);
+        let known = logged.or_else(|| recorded.footprints.get(&*ego).copied());
+        recorded.take_footprint(known);
+        if found.is_none() && recorded.footprints.is_empty() {
+            let line = format!(
+                "the log `{log}` is not here, and the recording has no outlines of agents: boxes on the ego itself count as false \
+                 in the player; say where the log is with --log"
+            );
+            if !left_out.contains(&line) {
+                left_out.push(line);
             }
         }
         let known = self.parts.iter().find(|scene| scene.log == log && scene.ego == ego);
@@ -276,6 +288,7 @@ impl Scenes {
             self.parts.len() - 1
         });
         let scene = &mut self.parts[at];
+        scene.take_footprints(recorded.footprints.iter().map(|(agent, sides)| (agent, *sides)));
         scene.exact &= run.result.settings.mode == "offline";
         for agent in run.result.agents.iter().map(String::as_str) {
             scene.agent(agent, found.as_ref());
@@ -287,18 +300,17 @@ impl Scenes {
         let mut of_run = SceneRun {
             run: number,
             recorded: recorded.total,
-            frames: BTreeMap::new(),
-            messages: Vec::new(),
-            carried: Vec::new(),
+            ..SceneRun::empty()
         };
         for (seq, sweep) in &recorded.sweeps {
             scene.add_sweep(*seq, sweep, recorded, &protocol, origin, &mut of_run, names)?;
         }
         let all = scene.add_fates(recorded, &mut of_run);
+        of_run.all_messages = all;
         scene.add_carried(recorded, &mut of_run);
         if of_run.messages.len() < all {
             left_out.push(format!(
-                "{name}: the player has {} of {all} messages to `{ego}` in `{log}`; messages that were not used come first",
+                "{name}: the player has {} of {all} messages to `{ego}` in `{log}`; {FEWER_MESSAGES}",
                 of_run.messages.len()
             ));
         }
@@ -455,6 +467,7 @@ impl ScenePart {
             rules: protocol.clone(),
             first_run: String::new(),
             tracks: BTreeMap::new(),
+            footprints: BTreeMap::new(),
         }
     }
 
@@ -491,12 +504,28 @@ impl ScenePart {
             return at;
         }
         let info = log.and_then(|log| log.info().agent(name));
+        let footprint = info
+            .and_then(|info| info.footprint)
+            .or_else(|| self.footprints.get(name).copied());
         self.agents.push(AgentPart {
             name: name.into(),
             roadside: info.is_some_and(|info| info.kind == AgentKind::Roadside),
-            footprint: info.and_then(|info| info.footprint).map(|sides| sides.map(cm)),
+            footprint: footprint.map(|sides| sides.map(cm)),
         });
         self.agents.len() - 1
+    }
+
+    /// Takes outlines of agents, for those of whom the log does not say any.
+    pub fn take_footprints<'a>(&mut self, known: impl Iterator<Item = (&'a Name, [f64; 4])>) {
+        for (name, sides) in known {
+            if self.footprints.insert(name.clone(), sides).is_some() {
+                continue;
+            }
+            let mut agents = self.agents.iter_mut();
+            if let Some(agent) = agents.find(|agent| *agent.name == **name) {
+                agent.footprint.get_or_insert(sides.map(cm));
+            }
+        }
     }
 
     #[allow(clippy::too_many_arguments, reason = "what a row is made of")]

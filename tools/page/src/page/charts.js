@@ -119,10 +119,10 @@ function drawCharts() {
   const of = asked.klass || "all classes";
   const found = (bin) => bin.true / bin.total;
   charts.push(
-    binChart("Recall by distance", `${of}; found share of the objects`, "precision_recall_by_range", found, (bin) => `${bin.true} of ${bin.total}`, "m from the ego"),
-    binChart("Precision by distance", `${of}; true share of the detections`, "precision_recall_by_range", (bin) => bin.true / (bin.true + bin.false), (bin) => `${bin.true} of ${bin.true + bin.false}`, "m from the ego"),
+    binChart("Recall by distance", `${of}; found share of the objects, of all scores`, "precision_recall_by_range", found, (bin) => `${bin.true} of ${bin.total}`, "m from the ego"),
+    binChart("Precision by distance", `${of}; true share of the detections of all scores`, "precision_recall_by_range", (bin) => bin.true / (bin.true + bin.false), (bin) => `${bin.true} of ${bin.true + bin.false}`, "m from the ego"),
     binChart("Recall by own points", `${of}; few points: far or hidden from the ego`, "recall_by_points", found, (bin) => `${bin.true} of ${bin.total}`, "points of the ego on the object"),
-    ageChart(of), countsChart(of), hitMaps(),
+    ageChart(of), countsChart(of), missedChart(of), offsetChart(of), hitMaps(),
   );
   byId("grid").replaceChildren(...charts);
   drawMaps();
@@ -167,7 +167,7 @@ function ageChart(of) {
     const points = [...bins].filter(([, [, total]]) => total >= 10).sort(([a], [b]) => a - b);
     return seriesOf(at, points.map(([bin, [found, total]]) => [bin, found / total, `${found} of ${total}`]), { dots: true });
   });
-  return figure("Recall by age", `${of}; objects that the ego hardly sees, by the oldest data fused, in this scene`,
+  return figure("Recall by age", `${of}; objects that the ego hardly sees, by the oldest data fused, in this scene${scoreWords()}`,
     DOC.runs.every((run) => run.result.mode === "offline") ? null : lines(series, { label: "age, ms" }, { label: "", low: 0, high: 1 }),
     "Nothing is late: these runs are offline, or fuse nothing, or have too few objects.");
 }
@@ -185,6 +185,38 @@ function countsChart(of) {
     picture && el("div", {}, picture, partsKey([["found", "var(--run0)"], ["missed", "var(--line)"], ["false", "var(--wrong)"]])), "No run was scored.");
 }
 
+const WHY = [["found", "var(--run0)"], ["a box is there, but its IoU is too small", "var(--run4)"], ["its box has a lower score", "var(--run3)"], ["no box is there", "var(--wrong)"]];
+
+/** Why objects were missed, over all sweeps of the scene. */
+function missedChart(of) {
+  const rows = DOC.runs.map((run, at) => {
+    const counts = [0, 0, 0, 0];
+    for (const [, sweep] of sweepsOf(at)) {
+      for (const object of sweep.objects) {
+        if (object.counts && ofClass(object)) counts[object.foundBy ? 0 : object.nearBox ? 1 : object.weakBox ? 2 : 3] += 1;
+      }
+    }
+    return { name: run.name, parts: WHY.map(([what, color], part) => [what, counts[part], color]) };
+  });
+  const picture = stacks(rows, "objects", true);
+  return figure("Why objects were missed", `${of}; all sweeps of this scene, at IoU ${asked.iou}${scoreWords()}`,
+    picture && el("div", {}, picture, partsKey(WHY)), "No run has a recording with objects of this class.");
+}
+
+/** How exactly objects were found: how far the centres of boxes are off. */
+function offsetChart(of) {
+  const series = DOC.runs.map((run, at) => {
+    const all = sorted(sweepsOf(at).flatMap(([, sweep]) => sweep.objects.filter((object) => object.counts && object.nearBox && ofClass(object))
+      .map((object) => offBy(object.nearBox, object))));
+    const share = (percent) => all[Math.min(all.length - 1, Math.floor(percent / 100 * all.length))];
+    // The last few percent would stretch the axis.
+    return seriesOf(at, all.length ? Array.from({ length: 99 }, (_, percent) => [share(percent), percent / 100]) : []);
+  });
+  const iou = DOC.scenes.length ? scene().ious[0] : "";
+  return figure("How far boxes are off", `${of}; share of the objects found at IoU ${iou} whose box's centre is not further off, in this scene${scoreWords()}`,
+    lines(series, { label: "m", from: 0 }, { label: "share", low: 0, high: 1 }), "No run has found an object of this class.");
+}
+
 // --- The map of hits and misses -----------------------------------------------------------------------------------
 
 let maps = [];
@@ -195,7 +227,7 @@ function hitMaps() {
     const canvas = el("canvas", { role: "img", "aria-label": `Hits and misses of ${DOC.runs[run.run].name}`, style: "height:300px" });
     return { run: run.run, canvas, box: el("div", { class: "pane", style: `--c:${runColor(run.run)}` }, el("div", { class: "head" }, el("b", {}, DOC.runs[run.run].name)), canvas) };
   });
-  return figure("Map of hits and misses", `${sweepsInWords(scene())} of this scene from above: faint where an object was found, yellow where it was found though the ego has few points on it and others were fused, dashes where it was missed, crosses for false detections`,
+  return figure("Map of hits and misses", `${sweepsInWords(scene())} of this scene from above: faint where an object was found, yellow where it was found though the ego has few points on it and others were fused, dashes where it was missed, crosses for false detections${scoreWords()}`,
     el("div", {}, el("div", { style: "display:grid;gap:8px;grid-template-columns:repeat(auto-fit,minmax(min(100%,300px),1fr))" }, maps.map((map) => map.box))), "", true);
 }
 
@@ -397,8 +429,49 @@ function overTime() {
     figure("Age over time", "The oldest data fused for each sweep, in this scene; a gap: nothing was fused", gapped(series(oldest), { label: "s" }, { label: "ms", from: 0 }), "Nothing was fused, or no run has a recording."),
     bytesOverTime(),
     figure("Messages fused over time", "For each sweep, in this scene", lines(series((sweep) => sweep.used.length), { label: "s" }, { label: "", low: 0 }), "No run has a recording."),
-    figure("Found share over time", "All classes, for each sweep, in this scene", lines(series(share), { label: "s" }, { label: "", low: 0, high: 1 }), "No run has a recording."),
+    figure("Found share over time", `All classes, for each sweep, in this scene${scoreWords()}`, lines(series(share), { label: "s" }, { label: "", low: 0, high: 1 }), "No run has a recording."),
   ];
+}
+
+/** Shortest time without data of others that is listed, ms. */
+const SILENT_MS = 1000;
+
+/** Spans of a scene in which a run fused nothing for so long: first and last of its sweeps by place. */
+function silences(sweeps) {
+  if (!sweeps.some(([, sweep]) => sweep.used.length)) return [];
+  const spans = [];
+  sweeps.forEach(([, sweep], at) => {
+    if (sweep.used.length) return;
+    if (spans.length && spans.at(-1)[1] === at - 1) spans.at(-1)[1] = at;
+    else spans.push([at, at]);
+  });
+  return spans.filter(([from, to]) => sweeps[to][1].t - sweeps[from][1].t >= SILENT_MS);
+}
+
+/** Found and all objects of sweeps. */
+function foundIn(sweeps) {
+  const total = (fates) => sum(sweeps.map(([, { counts }]) => sum(fates.map((fate) => counts[fate]))));
+  const found = total(["hit", "added"]), all = found + total(["missed"]);
+  return all ? `${(found / all).toFixed(3)} (${count(found)} of ${count(all)})` : NONE;
+}
+
+/** What it cost where nothing of others came: what was found then, in the rest of the scene, and by the other runs. */
+function silenceTable() {
+  const shown = DOC.runs.map((_, at) => at).filter((at) => sweepsOf(at).length).slice(0, MOST_PANES);
+  const rows = DOC.runs.flatMap((run, at) => {
+    const sweeps = run.alone ? [] : sweepsOf(at);
+    return silences(sweeps).map(([from, to]) => {
+      const [begin, end] = [sweeps[from][1].t, sweeps[to][1].t];
+      const within = sweeps.slice(from, to + 1), rest = sweeps.filter((_, place) => place < from || place > to);
+      const then = (other) => (other === at ? NONE : foundIn(sweepsOf(other).filter(([, { t }]) => t >= begin && t <= end)));
+      const when = `${(begin / 1000).toFixed(1)} to ${(end / 1000).toFixed(1)} s`;
+      return [run.name, el("button", { type: "button", title: "Show its begin in the player", onclick: () => show(sweeps[from][0], null) }, when),
+        foundIn(within), foundIn(rest), ...(shown.length > 1 ? shown.map(then) : [])];
+    });
+  });
+  if (!rows.length) return null;
+  return el("figure", { class: "span" }, el("figcaption", {}, "Times without data of others", el("small", {}, `A second or longer in which nothing of others was fused: share of the objects that was found then, and in the rest of this scene${scoreWords()}`)),
+    el("div", { class: "wide" }, table(["run", "when", "found then", "found in the rest", ...(shown.length > 1 ? shown.map((other) => `found then by ${DOC.runs[other].name}`) : [])], rows.slice(0, 40))));
 }
 
 /** Lines that end where sweeps without a value are between. */
@@ -418,7 +491,7 @@ function gapped(series, x, y) {
 
 function drawFlows() {
   byId("flows").replaceChildren(...[
-    fateFigure(), ...DOC.runs.slice(0, MOST_PANES).map(flowFigure), bytesFigure(), ...overTime(),
+    silenceTable(), fateFigure(), ...DOC.runs.slice(0, MOST_PANES).map(flowFigure), bytesFigure(), ...overTime(),
     cdf("Ages of what was fused", "Share of all uses that are not older", (run) => run.ages, "Nothing was fused."),
     cdf("From sweep to boxes", "Share of all sweeps that are not slower", (run) => (hasLatency(run) ? run.quantiles.end_to_end || [] : []), "Stages take no time in these runs."),
     stageFigure(), channelTable(),

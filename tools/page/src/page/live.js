@@ -9,7 +9,7 @@ const AGAIN = 1000;
 const SLOWLY = 1000;
 
 /** What is known of the run; a test reads how many pictures came. */
-const live = { shows: true, reached: false, run: null, pictures: 0, points: 0, times: [], slow: -SLOWLY, fitted: null, classes: 0 };
+const live = { shows: true, reached: false, run: null, pictures: 0, points: 0, times: [], slow: -SLOWLY, fitted: null, classes: 0, used: new Map() };
 
 function say(words) {
   byId("what").textContent = words;
@@ -43,6 +43,7 @@ function openRun({ run, scene: opened, iou, classes }) {
   live.pictures = 0;
   live.times = [];
   live.fitted = null;
+  live.used.clear();
   DOC.iou = iou;
   DOC.classes = classes;
   DOC.runs = [{ name: run.name, alone: run.alone }];
@@ -93,6 +94,8 @@ function takePicture(buffer) {
   if (seqs.length && of.frames[seqs.at(-1)].t > head.frame.t) return;
   of.frames[seq] = head.frame;
   of.runs[0].frames[seq] = head.run;
+  addUsed(seq, live.used.get(seq) || []);
+  live.used.delete(seq);
   of.agents = head.agents;
   DOC.classes = head.classes;
   seqs.push(seq);
@@ -136,17 +139,25 @@ function slowly() {
   if (known !== live.classes && !byId("filters").contains(document.activeElement)) { live.classes = known; makeFilters(); }
 }
 
+/** Adds what was fused for a sweep, each message once. It may be said before the sweep's picture comes. */
+function addUsed(seq, rows) {
+  const frame = scene().runs[0].frames[seq];
+  if (!frame) {
+    live.used.set(seq, (live.used.get(seq) || []).concat(rows));
+    if (live.used.size > KEPT) live.used.delete(live.used.keys().next().value);
+    return;
+  }
+  const known = new Set((frame.used || []).map(String));
+  frame.used = (frame.used || []).concat(rows.filter((row) => !known.has(String(row)) && known.add(String(row))));
+  forget(seq);
+}
+
 function takeText(text) {
   const said = JSON.parse(text);
   if (said.what === "scene") openRun(said);
   if (said.what === "used" && live.run) {
     scene().agents = said.agents;
-    for (const [seq, rows] of Object.entries(said.used)) {
-      const frame = scene().runs[0].frames[seq];
-      if (!frame) continue;
-      frame.used = (frame.used || []).concat(rows);
-      forget(seq);
-    }
+    for (const [seq, rows] of Object.entries(said.used)) addUsed(Number(seq), rows);
     if (panes.length && !state.playing) draw();
   }
 }

@@ -3,6 +3,8 @@
 
 const FALSE = -1, NOT_COUNTED = -2, NOT_JUDGED = -3;
 const MOST_PANES = 4;
+/** What can be chosen: scores that boxes have at least, and how fast the log is played. */
+const SCORES = [0, 0.3, 0.5, 0.7], SPEEDS = [0.25, 0.5, 1, 2, 4, 10];
 
 /** What is shown. The address of the page keeps it. */
 const state = {
@@ -45,7 +47,7 @@ const FATES_OF_BOXES = [
   ["hit", "found"], ["added", "found, though the ego has few points on it and others were fused"], ["false", "false"], ["missed", "missed"], ["other", "not counted"],
 ];
 
-/** A sweep of a run as it is judged at an overlap: boxes, objects, counts. Kept, as many charts ask for it. */
+/** A sweep of a run as it is judged at an overlap and the chosen score: boxes, objects, counts. Kept, as many charts ask for it. */
 const judgedSweeps = new Map();
 function judged(of, run, seq, iou = state.iou) {
   const key = `${DOC.scenes.indexOf(of)}.${run}.${seq}.${iou}`;
@@ -61,7 +63,7 @@ function judge(of, run, seq, iou) {
   const used = frame.used || [];
   const objects = rows.map(([row, points], index) => ({
     kind: "object", index, klass: DOC.classes[row[0]], box: row.slice(1, 8), track: row[8], counts: row[9] === 1, points,
-    own: points.length ? points[0] : null, foundBy: null,
+    own: points.length ? points[0] : null, foundBy: null, nearBox: null, weakBox: null,
     hidden: points.length ? points[0] < of.seen_points : null,
   }));
   const boxes = (frame.boxes || []).map((row, index) => {
@@ -70,9 +72,13 @@ function judge(of, run, seq, iou) {
     const box = { kind: "box", index, klass: DOC.classes[row[0]], score: row[1] / 1000, box: row.slice(2, 9), code, object };
     box.fate = code === FALSE ? "false" : code === NOT_COUNTED ? "other" : code === NOT_JUDGED ? "hit"
       : object.hidden && used.length ? "added" : "hit";
-    if (object) object.foundBy = box;
+    // Boxes are matched by falling score: without those of lower scores the others find the same.
+    const isWeak = box.score < state.score;
+    if (object) object[isWeak ? "weakBox" : "foundBy"] = box;
+    // Ious rise: what finds an object at the first alone is not near enough.
+    if (row[9] >= 0 && !isWeak) objects[row[9]].nearBox = box;
     return box;
-  });
+  }).filter((box) => box.score >= state.score);
   for (const object of objects) object.fate = !object.counts ? "other" : object.foundBy ? object.foundBy.fate : "missed";
   const n = (list, fate) => list.filter((one) => one.fate === fate).length;
   return {
@@ -85,7 +91,6 @@ function judge(of, run, seq, iou) {
 function passes(one) {
   if (state.klass && one.klass !== state.klass) return false;
   if (state.hidden.has(one.fate)) return false;
-  if (one.kind === "box" && one.score < state.score) return false;
   if (state.agent >= 0) {
     const object = one.kind === "object" ? one : one.object;
     return Boolean(object && object.points[state.agent] > 0);
@@ -181,14 +186,14 @@ function measured(of) {
 function fitView() {
   const { turn, width, height, center, way } = extent();
   const pane = panes[0] || { width: 600, height: 480 };
-  if (way > 250) {
-    state.follow = true;
+  setFollow(way > 250);
+  if (state.follow) {
     camera.scale = Math.min(pane.width, pane.height) / 120;
     return;
   }
   [camera.x, camera.y] = center;
   camera.turn = turn;
-  camera.scale = Math.max(0.5, Math.min(20, Math.min(pane.width / (width + 16), pane.height / (height + 24))));
+  camera.scale = within(Math.min(pane.width / (width + 16), pane.height / (height + 24)), 0.5, 20);
   if (state.view === "3d") camera.scale *= 1.3;
 }
 
@@ -498,7 +503,7 @@ function pickedIn(pane, sweep) {
   if (picked.track >= 0) return sweep.objects.find((object) => object.track === picked.track) || null;
   if (picked.seq !== seqNow()) return null;
   if (picked.kind === "object") return sweep.objects[picked.index] || null;
-  return picked.run === pane.run ? sweep.boxes[picked.index] || null : null;
+  return picked.run === pane.run ? sweep.boxes.find((box) => box.index === picked.index) || null : null;
 }
 
 function pick(pane, px, py) {
@@ -549,16 +554,22 @@ function story() {
     const found = one.kind === "box" ? one : one.foundBy;
     const lines = [["verdict", WORDS[one.fate]]];
     if (found) lines.push(["score", found.score.toFixed(3)]);
-    if (found && found.object) lines.push(["centre off by", offBy(found) + " m"]);
+    if (found && found.object) lines.push(["centre off by", offBy(found, found.object).toFixed(2) + " m"]);
+    if (one.fate === "missed") lines.push(["why", whyMissed(one)]);
     const sources = contributors(sweep, object);
     if (sources.length) lines.push(["could contribute", sources.join(", ")]);
     box.append(el("span", { class: "run" }, swatch(runColor(scene().runs[pane.run].run)), DOC.runs[scene().runs[pane.run].run].name), list(lines));
   }
 }
 
-function offBy(box) {
-  const there = box.object.box;
-  return (Math.hypot(box.box[0] - there[0], box.box[1] - there[1]) / 100).toFixed(2);
+/** How far the centre of a box is from that of an object, m. */
+const offBy = (box, object) => Math.hypot(box.box[0] - object.box[0], box.box[1] - object.box[1]) / 100;
+
+/** What kept an object that was missed from being found. */
+function whyMissed(object) {
+  if (object.nearBox) return `a box is there, but its IoU is too small: its centre is off by ${offBy(object.nearBox, object).toFixed(2)} m`;
+  if (object.weakBox) return `its box has a score of ${object.weakBox.score.toFixed(3)}, less than chosen`;
+  return "no box is there";
 }
 
 /** Agents that were fused for the sweep and have points on the object, with the age of what they sent. */
@@ -657,7 +668,7 @@ function handle(pane) {
       zoom(span(event) / Math.max(1, span(before)));
     } else if (state.view === "3d" && !event.shiftKey) {
       camera.turn -= dx * 0.008;
-      camera.tilt = Math.max(0.08, Math.min(1.55, camera.tilt + dy * 0.006));
+      camera.tilt = within(camera.tilt + dy * 0.006, ...TILTS);
     } else {
       const [sin, cos] = [Math.sin(camera.turn), Math.cos(camera.turn)];
       const [right, ahead] = [-dx / camera.scale, dy / camera.scale / (state.view === "3d" ? Math.max(0.3, Math.sin(camera.tilt)) : 1)];
@@ -693,8 +704,11 @@ function handle(pane) {
   }, { passive: false });
 }
 
+const SCALES = [0.3, 80], TILTS = [0.08, 1.55];
+const within = (value, least, most) => Math.max(least, Math.min(most, value));
+
 function zoom(factor) {
-  camera.scale = Math.max(0.3, Math.min(80, camera.scale * factor));
+  camera.scale = within(camera.scale * factor, ...SCALES);
 }
 
 function setFollow(follow) {
@@ -715,7 +729,9 @@ function makeFilters() {
   const of = scene();
   const scenes = DOC.scenes.map((one, at) => [at, `${one.log}, ego ${one.ego}`]);
   const classes = [...new Set(of.runs.flatMap((run) => Object.values(run.frames).slice(0, 400).flatMap((frame) => (frame.boxes || []).map((row) => DOC.classes[row[0]]))
-    .concat(Object.values(of.frames).slice(0, 400).flatMap((frame) => (frame.objects || []).map(([row]) => DOC.classes[row[0]])))))].sort();
+    .concat(Object.values(of.frames).slice(0, 400).flatMap((frame) => (frame.objects || []).map(([row]) => DOC.classes[row[0]]))))
+    // One that was chosen elsewhere can be taken off.
+    .concat(state.klass || []))].sort();
   const again = (change) => (value) => { change(value); draw(); keepPlace(); };
   const views = segments([["top", "From above"], ["3d", "3D"]], state.view, setView);
   transport.views = views;
@@ -723,13 +739,34 @@ function makeFilters() {
   byId("filters").replaceChildren(
     ...(scenes.length > 1 ? [choice("Scene", scenes, state.scene, (at) => openScene(at))] : []),
     views, transport.follow,
-    el("button", { type: "button", onclick: () => { setFollow(false); fitView(); draw(); keepPlace(); } }, "Whole scene"),
+    el("button", { type: "button", onclick: () => { fitView(); draw(); keepPlace(); } }, "Whole scene"),
     choice("Class", [["", "all"], ...classes.map((name) => [name, name])], state.klass, again((value) => { state.klass = value; })),
     choice("Points of", [[-1, "anyone"], ...of.agents.map((agent, at) => [at, agent.name])], state.agent, again((value) => { state.agent = value; })),
-    choice("Score", [0, 0.3, 0.5, 0.7].map((least) => [least, least ? `≥ ${least}` : "any"]), state.score, again((value) => { state.score = value; })),
+    choice("Score", SCORES.map((least) => [least, least ? `≥ ${least}` : "any"]), state.score, again(setScore)),
     choice("IoU", of.ious.map((iou, at) => [at, iou]), state.iou, again((value) => { state.iou = value; drawStrip(); })),
     ...(of.runs.length > 1 ? [runButtons(of)] : []),
   );
+}
+
+/** Chooses a score: boxes of lower ones are as if they were not there. */
+function setScore(score) {
+  if (score === state.score) return;
+  state.score = score;
+  judgedSweeps.clear();
+  drawStrip();
+  sceneOpened();
+}
+
+const scoreWords = () => (state.score ? `, boxes of scores ≥ ${state.score}` : "");
+
+/** The score to begin with: boxes of low scores are mostly false, but some networks give no higher ones. */
+function firstScore() {
+  const of = scene(), iou = Math.max(0, of.ious.indexOf(DOC.iou));
+  const share = (run) => {
+    const hits = Object.values(run.frames).flatMap((frame) => (frame.boxes || []).filter((row) => row[9 + iou] >= 0));
+    return hits.length ? hits.filter((row) => row[1] >= 300).length / hits.length : 1;
+  };
+  return of.runs.every((run) => share(run) >= 0.8) ? 0.3 : 0;
 }
 
 function runButtons(of) {
@@ -753,7 +790,7 @@ function makeTransport() {
     el("button", { type: "button", "aria-label": "One sweep back", onclick: () => step(-1) }, "‹"), transport.play,
     el("button", { type: "button", "aria-label": "One sweep on", onclick: () => step(1) }, "›"),
     transport.slider, transport.time,
-    choice("Speed", [[0.25, "¼"], [0.5, "½"], [1, "1"], [2, "2"], [4, "4"], [10, "10"]], state.speed, (speed) => { state.speed = speed; restartClock(); keepPlace(); }),
+    choice("Speed", SPEEDS.map((speed) => [speed, { 0.25: "¼", 0.5: "½" }[speed] || String(speed)]), state.speed, (speed) => { state.speed = speed; restartClock(); keepPlace(); }),
   );
 }
 
@@ -796,7 +833,7 @@ function drawStrip() {
     play(false);
     seek(seqs.reduce((best, seq, at) => (Math.abs(of.frames[seq].t - t) < Math.abs(of.frames[seqs[best]].t - t) ? at : best), 0));
   });
-  byId("strip").replaceChildren(drawing, el("p", { class: "hint muted" }, `Found share of the objects in each sweep, from ${least} (lower line) to 1 (upper line). Click to go there.`));
+  byId("strip").replaceChildren(drawing, el("p", { class: "hint muted" }, `Found share of the objects in each sweep${scoreWords()}: from ${least} (lower line) to 1 (upper line). Click to go there.`));
   moveCursor();
 }
 
@@ -926,7 +963,7 @@ function keepPlace() {
     if (state.follow) place.set("follow", 1);
     if (state.klass) place.set("class", state.klass);
     if (state.agent >= 0) place.set("agent", state.agent);
-    if (state.score) place.set("score", state.score);
+    place.set("score", state.score);
     place.set("iou", state.iou);
     if (state.speed !== 1) place.set("speed", state.speed);
     if (state.hidden.size) place.set("hide", [...state.hidden].join("."));
@@ -944,24 +981,38 @@ function takePlace() {
     return place.has(name) && Number.isFinite(value) && value >= least && value <= most ? value : null;
   };
   if (!place.has("sweep")) return false;
-  state.scene = number("scene", 0, DOC.scenes.length - 1) ?? 0;
+  const whole = (name, least, most) => { const value = number(name, least, most); return Number.isInteger(value) ? value : null; };
+  const oneOf = (name, known, otherwise) => (known.includes(number(name, -Infinity, Infinity)) ? Number(place.get(name)) : otherwise);
+  state.scene = whole("scene", 0, DOC.scenes.length - 1) ?? 0;
   const at = timeline().indexOf(number("sweep", 0, Number.MAX_SAFE_INTEGER));
   state.at = Math.max(0, at);
-  const runs = (place.get("runs") || "").split(".").map(Number).filter((run) => scene().runs[run]);
-  state.runs = runs.length ? runs.slice(0, MOST_PANES) : firstRuns();
+  const runs = (place.get("runs") || "x").split(".").map(Number).filter((run) => scene().runs[run]);
+  state.runs = runs.length ? [...new Set(runs)].slice(0, MOST_PANES) : firstRuns();
   state.view = place.get("view") === "3d" ? "3d" : "top";
   state.follow = place.has("follow");
   state.klass = DOC.classes.includes(place.get("class")) ? place.get("class") : "";
-  state.agent = number("agent", 0, scene().agents.length - 1) ?? -1;
-  state.score = number("score", 0, 1) ?? 0;
-  state.iou = number("iou", 0, scene().ious.length - 1) ?? 0;
-  state.speed = number("speed", 0.1, 10) ?? 1;
+  state.agent = whole("agent", 0, scene().agents.length - 1) ?? -1;
+  state.score = oneOf("score", SCORES, firstScore());
+  state.iou = whole("iou", 0, scene().ious.length - 1) ?? Math.max(0, scene().ious.indexOf(DOC.iou));
+  state.speed = oneOf("speed", SPEEDS, 1);
   state.hidden = new Set((place.get("hide") || "").split(".").filter((fate) => FATES_OF_BOXES.some(([known]) => known === fate)));
   const [kind, run, seq, index, track] = (place.get("pick") || "").split(".");
-  if (kind === "object" || kind === "box") state.picked = { kind, run: Number(run), seq: Number(seq), index: Number(index), track: Number(track) };
+  state.picked = kind === "object" || kind === "box" ? { kind, run: Number(run), seq: Number(seq), index: Number(index), track: Number(track) } : null;
   const eye = (place.get("at") || "").split(",").map(Number);
   if (eye.length === 5 && eye.every(Number.isFinite)) [camera.x, camera.y, camera.scale, camera.turn, camera.tilt] = eye;
+  [camera.scale, camera.tilt] = [within(camera.scale, ...SCALES), within(camera.tilt, ...TILTS)];
   return true;
+}
+
+/** Goes to another address of the same page. */
+function changePlace() {
+  const [before, score] = [state.scene, state.score];
+  play(false);
+  if (!takePlace()) return;
+  judgedSweeps.clear();
+  setUp();
+  draw();
+  if (state.scene !== before || state.score !== score) sceneOpened();
 }
 
 let sceneOpened = () => {};
@@ -975,14 +1026,14 @@ function startPlayer() {
   } else {
     state.iou = Math.max(0, scene().ious.indexOf(DOC.iou));
     state.runs = firstRuns();
+    state.score = firstScore();
     state.at = best();
     setUp();
     fitView();
-    setFollow(state.follow);
     draw();
   }
   addEventListener("keydown", onKey);
-  addEventListener("hashchange", () => { if (takePlace()) { setUp(); draw(); } });
+  addEventListener("hashchange", changePlace);
   new ResizeObserver(() => { resize(); draw(); }).observe(byId("panes"));
   repainted.push(draw, makeLegend);
 }

@@ -79,6 +79,12 @@ function scores() {
   byId("table").replaceChildren(el("table", {}, el("thead", {}, el("tr", {}, el("th", {}, ""), DOC.runs.map((run, at) => el("th", { scope: "col" }, swatch(runColor(at)), run.name)))), el("tbody", {}, rows)));
 }
 
+/** Objects of a table at first, and in all. */
+const FEW = 8, MOST_ADDED = 200;
+
+/** A table that opens with a click. */
+const more = (heads, words, rows) => (words ? el("details", {}, el("summary", {}, words), el("div", { class: "wide" }, table(heads, rows))) : null);
+
 /** Objects that a run with cooperation finds more often than the ego alone, in the scene of the player. */
 function addedObjects() {
   const section = byId("added");
@@ -107,19 +113,21 @@ function addedObjects() {
       }
     }
     const all = [...tracks].map(([track, facts]) => ({ track, ...facts, gain: facts.both - facts.own }));
-    const rows = (list, at) => list.slice(0, 8).map((one) => [`${one.klass} ${one.track}`, count(one.sweeps), count(one.own), count(one.both), one.points.length ? count(quantile(one.points, 0.5)) : NONE,
-      el("button", { type: "button", onclick: () => show(at(one), { kind: "object", run, seq: at(one), index: 0, track: one.track }) }, "show")]);
+    const rows = (list, at) => list.map((one) => [
+      el("button", { type: "button", title: "Show it in the player", onclick: () => show(at(one), { kind: "object", run, seq: at(one), index: 0, track: one.track }) }, `${one.klass} ${one.track}`),
+      count(one.sweeps), count(one.own), count(one.both), one.points.length ? count(quantile(one.points, 0.5)) : NONE]);
     const gained = all.filter((one) => one.gain > 0 && one.seq !== null).sort((a, b) => b.gain - a.gain);
     const harmed = all.filter((one) => one.gain < 0 && one.lost !== null).sort((a, b) => a.gain - b.gain);
     const name = DOC.runs[of.runs[run].run].name;
-    const heads = ["object", "sweeps", "found by the ego alone", `found by ${name}`, "own points, median", ""];
+    const heads = ["object", "sweeps", "found by the ego alone", `found by ${name}`, "own points, median"];
     return el("div", { style: "margin-bottom:16px" },
       el("h3", {}, swatch(runColor(of.runs[run].run)), name),
       el("p", { class: "muted" }, `${plural(gained.length, "object")} found in more sweeps than by the ego alone, ${plural(harmed.length, "object")} in fewer.`),
-      gained.length ? el("div", { class: "wide" }, table(heads, rows(gained, (one) => one.seq))) : null,
-      harmed.length ? el("details", {}, el("summary", {}, "Found in fewer sweeps"), el("div", { class: "wide" }, table(heads, rows(harmed, (one) => one.lost)))) : null);
+      gained.length ? el("div", { class: "wide" }, table(heads, rows(gained.slice(0, FEW), (one) => one.seq))) : null,
+      more(heads, gained.length > FEW && `${plural(gained.length - FEW, "object")} more`, rows(gained.slice(FEW, MOST_ADDED), (one) => one.seq)),
+      more(heads, harmed.length && `${plural(harmed.length, "object")} found in fewer sweeps`, rows(harmed.slice(0, MOST_ADDED), (one) => one.lost)));
   });
-  section.replaceChildren(el("h2", {}, "What cooperation added"), el("p", { class: "muted" }, `${sweepsInWords(of)} of ${of.log}, ego ${of.ego}, at IoU ${of.ious[state.iou]}, object by object.${fused.length > 3 ? ` The first 3 of ${fused.length} runs with cooperation.` : ""} A table has 8 objects at most.`), ...parts);
+  section.replaceChildren(el("h2", {}, "What cooperation added"), el("p", { class: "muted" }, `${sweepsInWords(of)} of ${of.log}, ego ${of.ego}, at IoU ${of.ious[state.iou]}${scoreWords()}, object by object; a click on one shows it.${fused.length > 3 ? ` The first 3 of ${fused.length} runs with cooperation.` : ""} A table has ${MOST_ADDED} objects at most.`), ...parts);
 }
 
 // --- What was run -------------------------------------------------------------------------------------------------
@@ -145,20 +153,35 @@ function settings() {
   byId("foot").textContent = `Made by ${DOC.program}. Words are explained in docs/glossary.md and docs/reference/results.md of realo.`;
 }
 
+/** How far to the right each stage is: beyond all that it takes from, but for what closes a circle. */
+function levels(stages, sources) {
+  const before = new Map(stages.map((stage) => [stage, sources(stage)]));
+  const [open, done] = [new Set(), new Map()];
+  const visit = (stage) => {
+    open.add(stage);
+    for (const next of stages.filter((other) => before.get(other).includes(stage))) {
+      if (open.has(next)) before.set(next, before.get(next).filter((from) => from !== stage));
+      else if (!done.has(next)) visit(next);
+    }
+    open.delete(stage);
+    done.set(stage, null);
+  };
+  [...stages.filter((stage) => !before.get(stage).length), ...stages].forEach((stage) => { if (!done.has(stage)) visit(stage); });
+  const level = new Map();
+  const place = (stage) => {
+    if (!level.has(stage)) level.set(stage, Math.max(-1, ...before.get(stage).map(place)) + 1);
+    return level.get(stage);
+  };
+  stages.forEach(place);
+  return level;
+}
+
 /** The stages of a run from left to right, each after all that it takes from. */
 function graph(run) {
   const stages = Object.keys(run.graph);
   const sources = (stage) => Object.entries(run.graph[stage]).filter(([key]) => key.startsWith("inputs."))
     .flatMap(([, from]) => from.split(/[\s,]+/)).map((from) => stages.filter((other) => from === other || from.startsWith(other + "/") || from.startsWith(other + ".")).sort((a, b) => b.length - a.length)[0]).filter((from) => from && from !== stage);
-  const level = new Map();
-  const place = (stage, above) => {
-    if (level.has(stage)) return level.get(stage);
-    if (above.includes(stage)) return 0;
-    const at = Math.max(-1, ...sources(stage).map((from) => place(from, [...above, stage]))) + 1;
-    level.set(stage, at);
-    return at;
-  };
-  stages.forEach((stage) => place(stage, []));
+  const level = levels(stages, sources);
   const columns = [];
   stages.forEach((stage) => (columns[level.get(stage)] ||= []).push(stage));
   const [wide, tall] = [196, 52];

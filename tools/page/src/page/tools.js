@@ -36,9 +36,11 @@ const byId = (id) => document.getElementById(id);
 const NONE = "–";
 const known = (value) => value !== null && value !== undefined;
 const fixed = (value, places = 3) => (known(value) ? value.toFixed(places) : NONE);
-const signed = (value, places = 3) => (known(value) ? (value < 0 ? "−" : "+") + Math.abs(value).toFixed(places) : NONE);
+/** The sign of a number as it is written: that of nothing is none. */
+const sign = (text, plus = "") => (Number(text) < 0 ? "−" : Number(text) > 0 ? plus : "") + text.replace("-", "");
+const signed = (value, places = 3) => (known(value) ? sign(value.toFixed(places), "+") : NONE);
 const count = (value) => (known(value) ? String(Math.round(value)).replace(/\B(?=(\d{3})+$)/g, ",") : NONE);
-const ms = (value) => (known(value) ? (Math.abs(value) < 9.95 && value !== 0 ? value.toFixed(1) : String(Math.round(value))).replace("-", "−") + " ms" : NONE);
+const ms = (value) => (known(value) ? sign(Math.abs(value) < 9.95 && value !== 0 ? value.toFixed(1) : String(Math.round(value))) + " ms" : NONE);
 const sum = (values) => values.reduce((all, value) => all + value, 0);
 const plural = (n, one, many = one + "s") => `${count(n)} ${n === 1 ? one : many}`;
 const sorted = (values) => [...values].sort((a, b) => a - b);

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use eyre::{Result, bail};
-use realo_diagram::{Diagram, End, Port, Process, Stage, Wire};
+use realo_diagram::{Diagram, End, Group, Port, Process, Stage, Wire};
 use realo_graph::{FlatGraph, FlatNode, InputSource, TYPE_PREFIX};
 use realo_operator::Registration;
 use realo_schemas::PayloadType;
@@ -47,6 +47,7 @@ pub fn diagram(graph: &FlatGraph, groups: &BTreeMap<String, String>) -> Result<D
             ..Stage::default()
         });
     }
+    group(&mut diagram, graph, groups);
     for (at, node) in graph.nodes.iter().enumerate() {
         wire(&mut diagram, graph, at, node)?;
     }
@@ -69,8 +70,37 @@ fn process_of(diagram: &mut Diagram, graph: &FlatGraph, node: &FlatNode, groups:
         name: name.clone(),
         what: what.join(", "),
         is_stage: node.host.is_none(),
+        group: None,
     });
     diagram.processes.len() - 1
+}
+
+/// Groups processes by the machines that they are for, where the graph says so, else by the modules that they were wired in with.
+fn group(diagram: &mut Diagram, graph: &FlatGraph, modules: &BTreeMap<String, String>) {
+    let nodes = || graph.hosts.iter().chain(&graph.nodes);
+    let machine = |name: &str| {
+        nodes()
+            .find(|node| node.id == name)?
+            .machine()
+            .map(|machine| machine.to_string())
+    };
+    let has_machines = diagram.processes.iter().any(|process| machine(&process.name).is_some());
+    for at in 0..diagram.processes.len() {
+        let name = diagram.processes[at].name.clone();
+        let (found, what) = match has_machines {
+            true => (machine(&name), "machine"),
+            false => (modules.get(&name).cloned(), "module"),
+        };
+        let Some(name) = found else { continue };
+        let known = diagram.groups.iter().position(|group| group.name == name);
+        diagram.processes[at].group = known.or(Some(diagram.groups.len()));
+        if known.is_none() {
+            diagram.groups.push(Group {
+                name,
+                what: what.into(),
+            });
+        }
+    }
 }
 
 /// A module's file as the graph's folder has it, else by its name: where a graph lies says nothing of it.

@@ -1,0 +1,148 @@
+// Numbers as words, charts, and the tables of the page.
+
+import assert from "node:assert/strict";
+import test from "node:test";
+
+import { open } from "./browser.mjs";
+import { report, run, scene } from "./documents.mjs";
+
+const plain = (value) => JSON.parse(JSON.stringify(value));
+const page = open({ data: report({ scenes: [scene()] }) });
+const numbers = (text) => [...text.matchAll(/-?\d+(?:\.\d+)?/g)].map(([number]) => Number(number));
+const paths = (drawing) => drawing.all("path").map((path) => path.getAttribute("d"));
+
+test("numbers are written as a reader expects them", () => {
+  for (const [expression, words] of [
+    ["count(1234567)", "1,234,567"], ["count(999.6)", "1,000"], ["count(-1234)", "-1,234"], ["count(null)", "–"], ["count(0)", "0"],
+    ["ms(0)", "0 ms"], ["ms(0.04)", "0.0 ms"], ["ms(-0.04)", "0.0 ms"], ["ms(9.94)", "9.9 ms"], ["ms(-12.6)", "−13 ms"], ["ms(undefined)", "–"],
+    ["signed(0.0104)", "+0.010"], ["signed(-0.25)", "−0.250"], ["signed(-0.0004)", "0.000"], ["signed(0)", "0.000"], ["signed(null)", "–"],
+    ["fixed(0.12345)", "0.123"], ["plural(1, 'sweep')", "1 sweep"], ["plural(1200, 'sweep')", "1,200 sweeps"],
+  ]) assert.equal(page.value(expression), words, expression);
+});
+
+test("a quantile is a value of the list that so many do not exceed", () => {
+  for (const [share, value] of [[0, 1], [0.25, 1], [0.26, 2], [0.5, 2], [1, 4]]) assert.equal(page.value(`quantile([4, 1, 3, 2], ${share})`), value);
+  assert.equal(page.value("quantile([], 0.5)"), null);
+});
+
+test("ticks are round numbers within their ends", () => {
+  assert.deepEqual(plain(page.value("ticks(0, 1)")), [0, 0.2, 0.4, 0.6, 0.8, 1]);
+  assert.deepEqual(plain(page.value("ticks(-3, 41)")), [0, 10, 20, 30, 40]);
+  assert.deepEqual(plain(page.value("ticks(0, 3e6)")), [0, 1e6, 2e6, 3e6]);
+  for (const [low, high] of [[5, 5], [0, 1e-7], [-1e9, 1e9]]) {
+    const all = plain(page.value(`ticks(${low}, ${high})`));
+    assert.ok(all.length <= 12 && all.every((value) => value >= low - 1e-9 && value <= high * 1.0001 + 1e-12), `${low} ${high}: ${all}`);
+  }
+});
+
+test("lines stay in their frame, whatever the values", () => {
+  for (const points of [[[0, 0]], [[5, 7], [5, 7]], [[0, -3], [10, 1e6]], [[1e9, 0.5], [2e9, 0.5]]]) {
+    const drawing = page.value(`lines([{ name: "a", color: "x", dash: "", points: ${JSON.stringify(points)}, dots: true }], { label: "s" }, { label: "", from: 0 })`);
+    const [path] = paths(drawing);
+    const found = numbers(path);
+    assert.equal(found.length, 2 * points.length, path);
+    found.forEach((pixel, at) => assert.ok(pixel >= 0 && pixel <= [380, 226][at % 2], path));
+  }
+  assert.equal(page.value("lines([{ points: [] }], { label: '' }, { label: '' })"), null);
+});
+
+test("lines end where sweeps without a value are between", () => {
+  const points = [0, 1, 2, 3, 8, 9, 20].map((x) => [x, 1]);
+  const drawing = page.value(`gapped([{ name: "a", color: "x", dash: "", points: ${JSON.stringify(points)} }], { label: "s" }, { label: "", low: 0, high: 2 })`);
+  assert.deepEqual(paths(drawing).map((path) => numbers(path).length / 2), [4, 2, 1]);
+  assert.equal(drawing.all("circle").length, 1, "a single one is a dot");
+});
+
+test("a flow's ribbons are as high as what they say, at both ends", () => {
+  const drawing = page.value('ribbons([["a", [60, 40, 0]], ["b", [0, 1, 899]]], [["used", 0, "x"], ["lost", 1, "y"], ["late", 2, "z"]])');
+  const ribbon = (path) => numbers(path);
+  const all = paths(drawing);
+  assert.equal(all.length, 4, "none of nothing");
+  assert.ok(all.every((path) => !path.includes("NaN")));
+  const tall = all.map((path) => { const at = ribbon(path); return [at[8] - at[7], at.at(-1) - at[1]]; });
+  tall.forEach(([right, left]) => assert.ok(Math.abs(right - left) < 1e-6, `${right} ${left}`));
+  const scale = tall[3][0] / 899;
+  [60, 40, 1].forEach((value, at) => assert.ok(Math.abs(tall[at][0] - value * scale) < 1e-6));
+  assert.equal(drawing.getAttribute("aria-label"), "Of 1,000 messages: 60 used, 41 lost, 899 late");
+});
+
+test("bins of all classes are summed, and a class has its own", () => {
+  const table = { vehicle: { "0.5": [{ from: 0, to: 20, true: 3, false: 1, total: 4 }] }, pedestrian: { "0.5": [{ from: 0, to: 20, true: 1, total: 6 }] } };
+  page.value("(asked.klass = '', asked.iou = '0.5')");
+  const of = (klass) => { page.value(`asked.klass = '${klass}'`); return plain(page.value(`binsOf(${JSON.stringify(table)})`)); };
+  assert.deepEqual(of(""), [{ from: 0, to: 20, true: 4, false: 1, total: 10 }]);
+  assert.deepEqual(of("pedestrian"), [{ from: 0, to: 20, true: 1, false: 0, total: 6 }]);
+  assert.deepEqual(of("truck"), []);
+  of("");
+});
+
+test("a second in which nothing was sent is one of nothing", () => {
+  const of = scene();
+  of.runs[0].carried = [0, 1, 2, 5, 6].flatMap((second) => [[1, 1000 * second, 10, 2000], [0, 1000 * second, 5, 1000]]);
+  const with_cut = open({ data: report({ scenes: [of] }) });
+  const [path] = paths(with_cut.value("bytesOverTime()"));
+  const heights = numbers(path).filter((_, at) => at % 2);
+  assert.equal(heights.length, 5, "the first and the last are not whole");
+  assert.deepEqual(heights.map((y) => y === Math.max(...heights)), [false, false, true, true, false]);
+});
+
+test("the score of a run whose classes lack objects is the mean of the others", () => {
+  const of = (accuracy) => page.value(`meanOf(${JSON.stringify({ result: { accuracy } })}, "0.5")`);
+  assert.equal(of({ sorted: { mAP: { "0.5": 0.7 }, AP: {} } }), 0.7);
+  assert.equal(of({ sorted: { mAP: { "0.5": null }, AP: { vehicle: { "0.5": 0.6 }, truck: { "0.5": null }, pedestrian: { "0.5": 0.2 } } } }), 0.4);
+  assert.equal(of(undefined), null);
+});
+
+test("objects that cooperation added are named, those it harmed too", () => {
+  const of = scene();
+  of.runs[0].frames[8].boxes = [];
+  const added = open({ data: report({ scenes: [of] }) }).byId("added");
+  const rows = added.all("tr").map((one) => one.nodes.map((cell) => cell.textContent));
+  assert.deepEqual(rows[1].slice(0, 5), ["pedestrian 8", "10", "0", "6", "0"]);
+  assert.deepEqual(rows[3].slice(0, 5), ["vehicle 7", "10", "10", "9", "40"]);
+  assert.equal(open({ data: report({ runs: [run("late")], scenes: [scene({ runs: [scene().runs[0]] })] }) }).byId("added").hidden, true, "without the ego alone there is nothing to compare");
+});
+
+test("why objects were missed, and how far boxes are off, is counted", () => {
+  const of = scene();
+  // Half a metre off, which is enough at IoU 0.3 alone; and one of a low score.
+  of.runs[0].frames[4].boxes = [[0, 900, 1040, 230, 80, 400, 200, 160, 0, 0, -1], [1, 250, 3000, -500, 80, 400, 200, 160, 0, 1, 1]];
+  const cut = open({ data: report({ scenes: [of] }) });
+  cut.value("(asked.klass = '', asked.iou = '0.5')");
+  const parts = (name) => cut.value(`missedChart("")`).all("i").map((part) => part.getAttribute("title")).filter(Boolean).slice(...name);
+  assert.deepEqual(parts([0, 4]), ["found: 15 objects", "a box is there, but its IoU is too small: 1 objects", "its box has a lower score: 1 objects", "no box is there: 3 objects"]);
+  assert.equal(cut.value("whyMissed(judged(scene(), 0, 4, 1).objects[0])"), "a box is there, but its IoU is too small: its centre is off by 0.50 m");
+  const [path] = paths(cut.value('offsetChart("")'));
+  assert.ok(!path.includes("NaN") && numbers(path).length === 2 * 99, path);
+});
+
+test("where nothing of others came is listed with what it cost", () => {
+  const of = scene();
+  for (let seq = 10; seq < 60; seq++) {
+    of.frames[seq] = { ...of.frames[9], t: 100 * seq };
+    of.runs[0].frames[seq] = { ...of.runs[0].frames[9] };
+    of.runs[1].frames[seq] = { ...of.runs[1].frames[9] };
+  }
+  for (let seq = 20; seq < 40; seq++) of.runs[0].frames[seq] = { boxes: of.runs[0].frames[seq].boxes.slice(0, 1), known: true };
+  delete of.runs[0].frames[50].used;
+  const cut = open({ data: report({ scenes: [of] }) });
+  const rows = cut.value("silenceTable()").all("tr").map((row) => row.nodes.map((cell) => cell.textContent));
+  assert.deepEqual(rows.slice(1), [["late", "2.0 to 3.9 s", "0.500 (20 of 40)", "0.963 (77 of 80)", "–", "0.500 (20 of 40)"]]);
+  assert.equal(open({ data: report({ scenes: [scene()] }) }).value("silenceTable()"), null);
+});
+
+test("a graph is drawn with each stage after all that it takes from, circles too", () => {
+  const stages = { player: {}, sense: { "inputs.clouds": "player/clouds" }, link: { "inputs.in": "sense/boxes", "inputs.word": "score/word" }, score: { "inputs.boxes": "link/out, sense/boxes" } };
+  const drawing = page.value(`graph({ name: "late", graph: ${JSON.stringify(stages)} })`);
+  const at = Object.fromEntries(drawing.all("g").map((group) => [group.all("title")[0].textContent, Number(group.all("rect")[0].getAttribute("x"))]));
+  assert.ok(at.player < at.sense && at.sense < at.link && at.link < at.score, JSON.stringify(at));
+  assert.equal(paths(drawing).length, 5);
+});
+
+test("a page of a hundred runs, and of a run that nobody scored, draws itself", () => {
+  const many = Array.from({ length: 100 }, (_, at) => run(`run ${at}`, { alone: at === 7 }));
+  const of = open({ data: report({ runs: many, scenes: [scene()] }) });
+  assert.equal(of.byId("scoreboard").all("div").length, 12);
+  assert.ok(of.byId("title").textContent.includes("97 more"));
+  assert.ok(new Set(Array.from({ length: 36 }, (_, at) => of.value(`runColor(${at}) + runDash(${at})`))).size === 36, "colour and dash together differ");
+});
