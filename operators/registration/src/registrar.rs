@@ -2,7 +2,7 @@
 
 mod wide;
 
-use nalgebra::{Isometry3, Matrix6, Quaternion, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix6, Quaternion, Translation3, UnitQuaternion, Vector3, Vector6};
 use rayon::prelude::*;
 use realo_schemas::PointCloud;
 
@@ -20,6 +20,9 @@ const WIDENING: f64 = 2.5;
 const NARROWING: f64 = 0.6;
 /// Distances have at least this variance, m²: sensors and maps are not better than 2 cm.
 const MIN_VARIANCE: f64 = 0.02 * 0.02;
+/// A pose whose last step was longer is still on its way, m and rad. Steps need not become as short as the registrar would have them:
+/// points that change voxels move a pose to and fro by some millimetres.
+const SETTLED: [f64; 2] = [0.02, 1e-3];
 
 /// How sweeps are aligned.
 #[derive(Clone, Debug, PartialEq)]
@@ -129,6 +132,29 @@ impl Alignment {
     /// Whether some direction is degenerate.
     pub fn is_degenerate(&self) -> bool {
         self.directions.iter().any(|direction| direction.is_degenerate)
+    }
+
+    /// Whether the pose is where its steps lead.
+    pub fn is_settled(&self) -> bool {
+        let [shift, turn] = self.last_step;
+        shift <= SETTLED[0] && turn <= SETTLED[1]
+    }
+
+    /// The information with variances that are larger by `floor_m`², which turns have at the lever; degenerate directions weigh nothing.
+    pub fn weighed(&self, floor_m: f64) -> Matrix6<f64> {
+        let scale = |axis: usize| if axis < 3 { 1.0 } else { self.lever_m };
+        let mut weighed = Matrix6::zeros();
+        for direction in self.directions.iter().filter(|direction| !direction.is_degenerate) {
+            let vector = Vector6::from(direction.vector);
+            let unscaled = Vector6::from_fn(|axis, _| vector[axis] / scale(axis));
+            let told = unscaled.dot(&(self.information * unscaled));
+            // False for what is not a number too.
+            if told > 0.0 {
+                let scaled = Vector6::from_fn(|axis, _| vector[axis] * scale(axis));
+                weighed += scaled * scaled.transpose() / (1.0 / told + floor_m * floor_m);
+            }
+        }
+        weighed
     }
 }
 
