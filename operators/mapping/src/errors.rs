@@ -16,15 +16,15 @@ pub struct Spread {
     pub max: f64,
 }
 
-/// Errors of poses: on the ground, m, and of the heading, degrees.
+/// Errors of poses: on the ground and up, m, and of the heading, degrees.
 #[derive(Clone, Copy, Debug, Default, PartialEq)]
 pub struct Errors {
     /// Poses that were compared.
     pub poses: usize,
     /// As they are.
-    pub absolute: [Spread; 2],
+    pub absolute: [Spread; 3],
     /// After the one turn about the vertical and shift that brings all of them onto the truth best.
-    pub aligned: [Spread; 2],
+    pub aligned: [Spread; 3],
     /// That shift at the middle of the poses, m, and turn, degrees.
     pub offset: [f64; 2],
 }
@@ -35,13 +35,13 @@ pub fn errors(poses: &[[Isometry3<f64>; 2]]) -> Option<Errors> {
     let moved = align(&pairs)?.to_from_from;
     let middle = poses.iter().map(|[pose, _]| pose.translation.vector).sum::<Vector3<f64>>() / poses.len() as f64;
     let shift = (moved * nalgebra::Point3::from(middle)).coords - middle;
-    let absolute: Vec<[f64; 2]> = poses.iter().map(|[pose, truth]| error(pose, truth)).collect();
-    let aligned: Vec<[f64; 2]> = poses.iter().map(|[pose, truth]| error(&(moved * pose), truth)).collect();
-    let both = |errors: &[[f64; 2]]| [0, 1].map(|of| spread(errors.iter().map(|error| error[of]).collect()));
+    let absolute: Vec<[f64; 3]> = poses.iter().map(|[pose, truth]| error(pose, truth)).collect();
+    let aligned: Vec<[f64; 3]> = poses.iter().map(|[pose, truth]| error(&(moved * pose), truth)).collect();
+    let each = |errors: &[[f64; 3]]| [0, 1, 2].map(|of| spread(errors.iter().map(|error| error[of]).collect()));
     Some(Errors {
         poses: poses.len(),
-        absolute: both(&absolute),
-        aligned: both(&aligned),
+        absolute: each(&absolute),
+        aligned: each(&aligned),
         offset: [shift.xy().norm(), yaw_of(&moved.rotation).to_degrees().abs()],
     })
 }
@@ -55,10 +55,10 @@ fn pair(pose: &Isometry3<f64>, truth: &Isometry3<f64>) -> Pair {
     }
 }
 
-fn error(pose: &Isometry3<f64>, truth: &Isometry3<f64>) -> [f64; 2] {
-    let place = (truth.translation.vector - pose.translation.vector).xy().norm();
+fn error(pose: &Isometry3<f64>, truth: &Isometry3<f64>) -> [f64; 3] {
+    let off = truth.translation.vector - pose.translation.vector;
     let heading = normalize_yaw(yaw_of(&truth.rotation) - yaw_of(&pose.rotation));
-    [place, heading.to_degrees().abs()]
+    [off.xy().norm(), off.z.abs(), heading.to_degrees().abs()]
 }
 
 fn spread(mut values: Vec<f64>) -> Spread {
@@ -94,12 +94,12 @@ mod tests {
             })
             .collect();
         let errors = errors(&poses).unwrap();
-        let [absolute, heading] = errors.absolute;
+        let [absolute, _, heading] = errors.absolute;
         assert!((absolute.mean - 1.5).abs() < 0.02 && absolute.max > 1.8, "{absolute:?}");
         assert!((heading.p95 - 0.573).abs() < 1e-3, "{heading:?}");
-        let [aligned, heading] = errors.aligned;
+        let [aligned, up, heading] = errors.aligned;
         assert!(aligned.p95 < 0.02 && (aligned.max - 0.5).abs() < 0.02, "{aligned:?}");
-        assert!(heading.max < 0.05, "{heading:?}");
+        assert!(heading.max < 0.05 && up.max < 1e-9, "{heading:?} {up:?}");
         assert!((errors.offset[0] - 1.5).abs() < 0.02 && (errors.offset[1] - 0.573).abs() < 0.05, "{errors:?}");
         assert_eq!(super::errors(&[]), None);
     }

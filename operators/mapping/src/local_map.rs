@@ -5,6 +5,9 @@ use realo_registration::{MapBuilder, MapSettings, PosedSweep, SettingError, Voxe
 
 use crate::keyframe::Keyframe;
 
+/// Points that are registered, one for each cell of this side, m: finer than on a finished map, for cells in which ground and wall meet would
+/// lower every sweep a little.
+pub(crate) const ALIGNED_M: f64 = 0.5;
 /// A voxel is taken with so many sampled points.
 const MIN_POINTS: u32 = 5;
 

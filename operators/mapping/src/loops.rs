@@ -8,7 +8,7 @@ use realo_registration::{Alignment, Registrar, RegistrarSettings, Search, Settin
 use realo_schemas::from_seconds;
 
 use crate::keyframe::Keyframe;
-use crate::local_map::map_of;
+use crate::local_map::{ALIGNED_M, map_of};
 
 /// Passes of one piece are apart by this, s and m.
 const APART_S: f64 = 10.0;
@@ -59,7 +59,10 @@ impl Nodes<'_> {
     /// # Errors
     /// A voxel's side that is none.
     pub fn loops(&self, how: &LoopSearch) -> Result<Found, SettingError> {
-        let mut registrar = Registrar::new(RegistrarSettings::default())?;
+        let mut registrar = Registrar::new(RegistrarSettings {
+            sample_m: ALIGNED_M,
+            ..RegistrarSettings::default()
+        })?;
         let candidates = self.candidates(how);
         let mut found = Found {
             candidates: candidates.len(),

@@ -5,17 +5,17 @@ use realo_geodesy::{Geodetic, LocalFrame};
 use realo_registration::{
     AlignError, Alignment, Registrar, RegistrarSettings, Sampler, Search, SettingError, VoxelMap,
 };
-use realo_schemas::geometry::yaw_of;
+use realo_schemas::geometry::{normalize_yaw, yaw_of};
 use realo_schemas::{Motion, Nanos, PointCloud};
 use realo_state_estimation::{
-    Estimate, Estimator, Measured, Mounting, Sample, ScanPose, Settings, SettingsError, deskewed, level_pose,
+    Estimate, Estimator, Measured, Mounting, Sample, ScanPose, Settings, SettingsError, deskewed, level, level_pose,
     unit_of,
 };
 
 use crate::anchors::Fixes;
 use crate::drive::{Drive, Piece};
 use crate::keyframe::Keyframe;
-use crate::local_map::map_of;
+use crate::local_map::{ALIGNED_M, map_of};
 
 /// Poses of the track are so far apart, ns.
 const STEP: Nanos = 20_000_000;
@@ -24,7 +24,7 @@ const SET_OUT: Nanos = 400_000_000;
 /// A guess that is known to so much is tracked, m and rad; around any other a wider neighbourhood is searched.
 const TRACKED: [f64; 2] = [0.6, 0.035];
 /// Standard deviations that are added to a sweep's pose, m and rad.
-const SWEEP_ERRORS: [f64; 2] = [0.02, 8e-4];
+const SWEEP_ERRORS: [f64; 2] = [0.01, 4e-4];
 /// A keyframe's points: one for each cell of this side, m.
 const SAMPLE_M: f64 = 0.3;
 /// Information of the place where it sets out, which is none but by definition.
@@ -99,6 +99,8 @@ pub struct Odometry {
     registrar: Registrar,
     sampler: Sampler,
     local: Option<VoxelMap>,
+    /// Of registered poses from the filter's.
+    offset: Offset,
     /// When the first sample came after the last break.
     since: Option<Nanos>,
     /// The piece that goes on.
@@ -114,7 +116,10 @@ impl Odometry {
     /// # Errors
     /// A setting out of its range.
     pub fn new(settings: OdometrySettings) -> Result<Self, SettingError> {
-        let registrar = RegistrarSettings::default();
+        let registrar = RegistrarSettings {
+            sample_m: ALIGNED_M,
+            ..RegistrarSettings::default()
+        };
         Ok(Odometry {
             sampler: Sampler::new(SAMPLE_M, [registrar.range_m[0], settings.range_m]),
             registrar: Registrar::new(registrar)?,
@@ -124,6 +129,7 @@ impl Odometry {
             antenna: Vector3::zeros(),
             axle: Vector3::zeros(),
             local: None,
+            offset: Offset::default(),
             since: None,
             piece: None,
             pieces: Vec::new(),
@@ -204,14 +210,14 @@ impl Odometry {
             self.break_off();
             return Ok(Taken::Unfit);
         };
-        self.follow(stamp);
         let taken = match &found {
             None | Some(Ok(_)) => Taken::Registered,
             Some(Err(taken)) => *taken,
         };
         let found = found.and_then(Result::ok);
-        if taken != Taken::FewPoints && self.is_keyframe(&level_pose(&estimate)) {
-            self.keep(&estimate, cloud, found.as_ref())?;
+        let pose = self.follow(stamp, &estimate, found.as_ref());
+        if taken != Taken::FewPoints && self.is_keyframe(&pose) {
+            self.keep(&estimate, &pose, cloud, found.as_ref())?;
         }
         Ok(taken)
     }
@@ -237,6 +243,7 @@ impl Odometry {
     /// Ends the piece that went on.
     fn break_off(&mut self) {
         self.local = None;
+        self.offset = Offset::default();
         self.pieces.extend(self.piece.take().filter(|piece| !piece.keyframes.is_empty()));
     }
 
@@ -266,17 +273,28 @@ impl Odometry {
         Some(Err(Taken::Unfit))
     }
 
-    /// Notes where the body was since the last sweep.
-    fn follow(&mut self, stamp: Nanos) {
+    /// Notes where the body was since the last sweep, and gives its pose at this one.
+    ///
+    /// That is the registered pose. The filter's own follows it late by what its other measurements say, and a local map of such poses would
+    /// drift with it.
+    fn follow(&mut self, stamp: Nanos, estimate: &Estimate, found: Option<&Alignment>) -> Isometry3<f64> {
+        let by_filter = level_pose(estimate);
+        let offset = found.map_or(self.offset, |found| Offset::between(&by_filter, &found.map_from_body));
         let last = self.piece.as_ref().and_then(|piece| piece.track.last().map(|(at, _)| *at));
-        let mut at = last.map_or(stamp, |last| last.saturating_add(STEP));
+        let from = last.unwrap_or(stamp);
         let mut poses = Vec::new();
+        let mut at = from.saturating_add(STEP);
         while at < stamp {
-            poses.extend(self.estimate_at(at).map(|estimate| (at, level_pose(&estimate))));
+            let share = (at - from) as f64 / (stamp - from) as f64;
+            let between = self.offset.towards(&offset, share);
+            poses.extend(self.estimate_at(at).map(|estimate| (at, between.of(&level_pose(&estimate)))));
             at += STEP;
         }
-        poses.extend(self.estimate_at(stamp).map(|estimate| (stamp, level_pose(&estimate))));
+        let pose = offset.of(&by_filter);
+        poses.push((stamp, pose));
         self.piece.get_or_insert_default().track.extend(poses);
+        self.offset = offset;
+        pose
     }
 
     /// Whether a pose is far enough from the last keyframe.
@@ -288,10 +306,16 @@ impl Odometry {
         })
     }
 
-    fn keep(&mut self, estimate: &Estimate, cloud: &PointCloud, found: Option<&Alignment>) -> Result<(), SettingError> {
+    fn keep(
+        &mut self,
+        estimate: &Estimate,
+        pose: &Isometry3<f64>,
+        cloud: &PointCloud,
+        found: Option<&Alignment>,
+    ) -> Result<(), SettingError> {
         let sample = self.sampler.sample(cloud);
         let keyframes = &mut self.piece.get_or_insert_default().keyframes;
-        let keyframe = Keyframe::new(keyframes.last(), estimate, &level_pose(estimate), &sample, found);
+        let keyframe = Keyframe::new(keyframes.last(), estimate, pose, &sample, found);
         keyframes.push(keyframe);
         let window = &keyframes[keyframes.len().saturating_sub(self.settings.window)..];
         self.local = map_of(
@@ -303,10 +327,11 @@ impl Odometry {
 
     /// What was driven.
     pub fn finish(mut self) -> Drive {
-        if let Some(newest) = self.estimator.as_ref().and_then(Estimator::newest)
+        let newest = self.estimator.as_ref().and_then(Estimator::estimate);
+        if let Some(estimate) = newest
             && self.piece.is_some()
         {
-            self.follow(newest);
+            self.follow(estimate.stamp, &estimate, None);
         }
         self.break_off();
         let faults = self.estimator.as_ref().map(Estimator::faults);
@@ -317,6 +342,34 @@ impl Odometry {
             faults: faults.unwrap_or_default(),
             counts: self.counts,
         }
+    }
+}
+
+/// How a level pose is off another one: m, rad.
+#[derive(Clone, Copy, Debug, Default)]
+struct Offset {
+    shift: Vector3<f64>,
+    turn: f64,
+}
+
+impl Offset {
+    fn between(from: &Isometry3<f64>, to: &Isometry3<f64>) -> Self {
+        Offset {
+            shift: to.translation.vector - from.translation.vector,
+            turn: normalize_yaw(yaw_of(&to.rotation) - yaw_of(&from.rotation)),
+        }
+    }
+
+    /// A share of the way to another offset.
+    fn towards(&self, other: &Offset, share: f64) -> Self {
+        Offset {
+            shift: self.shift.lerp(&other.shift, share),
+            turn: self.turn + share * (other.turn - self.turn),
+        }
+    }
+
+    fn of(&self, pose: &Isometry3<f64>) -> Isometry3<f64> {
+        level(&(pose.translation.vector + self.shift), yaw_of(&pose.rotation) + self.turn)
     }
 }
 

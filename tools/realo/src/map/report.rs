@@ -41,12 +41,10 @@ pub fn print(estimated: &Estimated) {
     }
 }
 
-/// Errors on the ground and of the heading.
-fn in_words([place, heading]: &[Spread; 2]) -> String {
-    format!(
-        "{:.3} / {:.3} / {:.3} m, {:.3} / {:.3} / {:.3}°",
-        place.mean, place.p95, place.max, heading.mean, heading.p95, heading.max
-    )
+/// Errors on the ground, up and of the heading.
+fn in_words([place, up, heading]: &[Spread; 3]) -> String {
+    let of = |spread: &Spread| format!("{:.3} / {:.3} / {:.3}", spread.mean, spread.p95, spread.max);
+    format!("{} m, up {} m, {}°", of(place), of(up), of(heading))
 }
 
 fn moved(errors: &Errors) -> String {
