@@ -1,15 +1,24 @@
 //! Maps of some keyframes, for registration.
 
 use nalgebra::Isometry3;
-use realo_registration::{MapBuilder, MapSettings, PosedSweep, SettingError, VoxelMap};
+use realo_registration::{MapBuilder, RegistrarSettings, MapSettings, PosedSweep, SettingError, VoxelMap};
 
 use crate::keyframe::Keyframe;
 
 /// Points that are registered, one for each cell of this side, m: finer than on a finished map, for cells in which ground and wall meet would
 /// lower every sweep a little.
-pub(crate) const ALIGNED_M: f64 = 0.5;
+const ALIGNED_M: f64 = 0.5;
 /// A voxel is taken with so many sampled points.
 const MIN_POINTS: u32 = 5;
+
+/// How sweeps in level frames are registered to maps of others.
+pub(crate) fn registrar() -> RegistrarSettings {
+    RegistrarSettings {
+        sample_m: ALIGNED_M,
+        is_level: true,
+        ..RegistrarSettings::default()
+    }
+}
 
 /// The map of keyframes, each with its pose in the frame of the map; `None` where nothing is in them.
 ///

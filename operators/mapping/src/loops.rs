@@ -4,11 +4,11 @@ use std::collections::BTreeMap;
 
 use nalgebra::{Isometry3, Matrix6};
 use realo_pose_graph::Edge;
-use realo_registration::{Alignment, Registrar, RegistrarSettings, Search, SettingError};
+use realo_registration::{Alignment, Registrar, Search, SettingError};
 use realo_schemas::from_seconds;
 
 use crate::keyframe::Keyframe;
-use crate::local_map::{ALIGNED_M, map_of};
+use crate::local_map::{map_of, registrar};
 
 /// Passes of one piece are apart by this, s and m.
 const APART_S: f64 = 10.0;
@@ -21,8 +21,8 @@ const MIN_SHARE: f64 = 0.35;
 const REGISTRATION_M: f64 = 0.02;
 /// An error so many times as large as a loop edge says has a quarter of the weight.
 const WIDTH: f64 = 3.0;
-/// Fewer directions than these say nothing worth an edge.
-const MIN_DIRECTIONS: usize = 4;
+/// Of x, y, z and the heading so many must be told: a street between walls keeps one.
+const MIN_DIRECTIONS: usize = 3;
 
 /// All keyframes, with their poses in `map` as they are known now.
 pub(crate) struct Nodes<'a> {
@@ -59,10 +59,7 @@ impl Nodes<'_> {
     /// # Errors
     /// A voxel's side that is none.
     pub fn loops(&self, how: &LoopSearch) -> Result<Found, SettingError> {
-        let mut registrar = Registrar::new(RegistrarSettings {
-            sample_m: ALIGNED_M,
-            ..RegistrarSettings::default()
-        })?;
+        let mut registrar = Registrar::new(registrar())?;
         let candidates = self.candidates(how);
         let mut found = Found {
             candidates: candidates.len(),

@@ -3,7 +3,7 @@
 use nalgebra::{Isometry3, Matrix6, Vector3};
 use realo_geodesy::{Geodetic, LocalFrame};
 use realo_registration::{
-    AlignError, Alignment, Registrar, RegistrarSettings, Sampler, Search, SettingError, VoxelMap,
+    AlignError, Alignment, Registrar, Sampler, Search, SettingError, VoxelMap,
 };
 use realo_schemas::geometry::{normalize_yaw, yaw_of};
 use realo_schemas::{Motion, Nanos, PointCloud};
@@ -15,7 +15,7 @@ use realo_state_estimation::{
 use crate::anchors::Fixes;
 use crate::drive::{Drive, Piece};
 use crate::keyframe::Keyframe;
-use crate::local_map::{ALIGNED_M, map_of};
+use crate::local_map::{map_of, registrar};
 
 /// Poses of the track are so far apart, ns.
 const STEP: Nanos = 20_000_000;
@@ -116,10 +116,7 @@ impl Odometry {
     /// # Errors
     /// A setting out of its range.
     pub fn new(settings: OdometrySettings) -> Result<Self, SettingError> {
-        let registrar = RegistrarSettings {
-            sample_m: ALIGNED_M,
-            ..RegistrarSettings::default()
-        };
+        let registrar = registrar();
         Ok(Odometry {
             sampler: Sampler::new(SAMPLE_M, [registrar.range_m[0], settings.range_m]),
             registrar: Registrar::new(registrar)?,
@@ -252,7 +249,7 @@ impl Odometry {
         let Some(local) = &self.local else {
             // The first of a piece needs points to be worth anything.
             let sample = self.sampler.sample(cloud);
-            let enough = sample.len() >= RegistrarSettings::default().min_points as usize;
+            let enough = sample.len() >= registrar().min_points as usize;
             return (!enough).then_some(Err(Taken::FewPoints));
         };
         let start = level_pose(guess);
