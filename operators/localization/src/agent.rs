@@ -4,17 +4,15 @@ use nalgebra::{Isometry3, Matrix6, UnitQuaternion, Vector3};
 use realo_geodesy::{Geodetic, LocalFrame};
 use realo_operator::{Outputs, StageOutputs};
 use realo_schemas::geometry::yaw_of;
-use realo_schemas::motion::Taken as Times;
-use realo_schemas::{AgentState, GnssFix, Header, ImuSample, Motion, Nanos, PointCloud, PoseStatus};
+use realo_schemas::{AgentState, Header, Motion, Nanos, PointCloud, PoseStatus};
 use realo_state_estimation as estimation;
 use realo_state_estimation::{
-    Estimate, Estimator, HoldEstimator, HoldSettings, Mounting, Sample, ScanPose, Status, Unit, UnitNoise,
+    Estimate, Estimator, HoldEstimator, HoldSettings, Measured, Mounting, Sample, ScanPose, Status, Unit, deskewed, level_pose,
+    unit_of,
 };
-use realo_time_offset::Middles;
 
-use crate::deskew::deskewed;
 use crate::faults::{Reported, SCAN_FEW_POINTS, SCAN_OFF_MAP, SCAN_UNFIT, SCANS, SEARCHES, Taken};
-use crate::place::{Found, FoundPose, Guess, Place, level};
+use crate::place::{Found, FoundPose, Guess, Place};
 
 /// From one search in all directions to the next, ns: it takes long.
 const SEARCH_PERIOD: Nanos = 1_000_000_000;
@@ -51,7 +49,7 @@ pub(crate) struct Agent {
     has_motion: bool,
     antenna: Vector3<f64>,
     axle: Vector3<f64>,
-    imu: Middles,
+    measured: Measured,
     /// When a sweep was looked for in all directions, or a held unit was looked at.
     looked: Option<Nanos>,
     /// The last pose of a roadside unit that is being localised.
@@ -71,7 +69,7 @@ impl Agent {
             has_motion: false,
             antenna: Vector3::zeros(),
             axle: Vector3::zeros(),
-            imu: Middles::default(),
+            measured: Measured::default(),
             looked: None,
             tried: None,
             share: 1.0,
@@ -103,8 +101,7 @@ impl Agent {
     ) -> Result<(), estimation::SettingsError> {
         self.has_motion |= !motion.is_empty();
         self.mount(motion, rules)?;
-        let mut samples = self.samples(header, motion);
-        samples.sort_by_key(Sample::stamp);
+        let samples = self.measured.samples(header.stamp, motion);
         for sample in &samples {
             match &mut self.filter {
                 Some(Filter::Vehicle(estimator)) => _ = estimator.take(sample),
@@ -170,24 +167,6 @@ impl Agent {
             axle_in_body: self.axle,
         };
         Ok(settings)
-    }
-
-    /// What was measured, as the estimators take it.
-    fn samples(&mut self, header: &Header, motion: &Motion) -> Vec<Sample> {
-        let at = |taken: &Times| taken.stamp_in(header);
-        let mut samples: Vec<Sample> = Vec::new();
-        for sample in &motion.imu {
-            let middle = self.imu.of(at(&sample.taken));
-            samples.push(Sample::Imu(imu(sample, middle)));
-        }
-        samples.extend(motion.fixes.iter().map(|fix| Sample::Fix(map_fix(fix, at(&fix.taken)))));
-        samples.extend(motion.wheels.iter().map(|wheel| {
-            Sample::Wheel(estimation::WheelSpeed {
-                stamp: at(&wheel.taken),
-                speed: wheel.speed,
-            })
-        }));
-        samples
     }
 
     /// The agent's state at a sweep, by its sensors and, where there is a map, by the sweep.
@@ -319,47 +298,6 @@ impl Agent {
         };
         self.reported.count(agent, &faults, &self.taken, out);
     }
-}
-
-/// A sample in the middle of the time that it is the mean of.
-fn imu(sample: &ImuSample, stamp: Nanos) -> estimation::ImuSample {
-    estimation::ImuSample {
-        stamp,
-        angular_rate: sample.angular_rate.into(),
-        specific_force: sample.specific_force.into(),
-    }
-}
-
-fn map_fix(fix: &GnssFix, stamp: Nanos) -> estimation::MapFix {
-    estimation::MapFix {
-        stamp,
-        position: fix.position.into(),
-        has_height: fix.has_height,
-        variance: fix.covariance.map(|of| [of[0], of[4], of[8]]),
-    }
-}
-
-/// The unit whose gyroscopes are as noisy as an IMU says of its own; the noisiest of one that says nothing.
-fn unit_of(imu_variance: Option<[f64; 2]>) -> Unit {
-    // Of samples at 100 Hz.
-    let density = |variance: f64| (variance * 0.01).sqrt();
-    let ratio = |noise: &UnitNoise, variance: f64| (libm::log(density(variance)) - libm::log(noise.gyro_noise)).abs();
-    match imu_variance {
-        Some([rate, _]) if rate > 0.0 => {
-            let units = [Unit::Consumer, Unit::Tactical];
-            let nearest = units
-                .into_iter()
-                .min_by(|a, b| ratio(&a.noise(), rate).total_cmp(&ratio(&b.noise(), rate)));
-            nearest.unwrap_or(Unit::Consumer)
-        }
-        _ => Unit::Consumer,
-    }
-}
-
-/// The pose of the level body frame.
-pub(crate) fn level_pose(estimate: &Estimate) -> Isometry3<f64> {
-    let pose = &estimate.map_from_body;
-    level(&pose.translation.vector, yaw_of(&pose.rotation))
 }
 
 /// An estimate as others take it: the body frame is level.

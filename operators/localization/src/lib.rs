@@ -17,7 +17,6 @@
 //! are, as V2X-Real does. A true pose with noise is a recorded one.
 
 mod agent;
-mod deskew;
 mod faults;
 mod mersenne;
 mod motion;

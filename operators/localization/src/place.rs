@@ -3,12 +3,13 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
-use nalgebra::{Isometry3, Matrix6, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix6, Vector3};
 use realo_registration::{
     AlignError, Alignment, MapError, Registrar, RegistrarSettings, Search, SettingError, VoxelMap,
 };
 use realo_schemas::PointCloud;
 use realo_schemas::geometry::normalize_yaw;
+use realo_state_estimation::level;
 
 /// Headings that are tried where none is known.
 const HEADINGS: u32 = 24;
@@ -20,9 +21,6 @@ const DISTINCT: f64 = 0.08;
 const ONE_HEADING: f64 = 0.35;
 /// A guess that is known to so much is tracked, m and rad; of any other a wider neighbourhood is searched.
 const TRACKED: [f64; 2] = [0.6, 0.035];
-/// A pose whose last step was longer is still on its way, m and rad. Steps need not become as short as the registrar would have them:
-/// points that change voxels move a pose to and fro by some millimetres.
-const SETTLED: [f64; 2] = [0.02, 1e-3];
 /// Where a map ends, this part of the share is enough, if of the points in its voxels so many are near its surfaces.
 const PART: f64 = 0.5;
 const MET_SHARE: f64 = 0.85;
@@ -204,12 +202,12 @@ impl Place {
     }
 
     fn fits(&self, alignment: &Alignment) -> bool {
-        is_settled(alignment) && alignment.structure_share >= self.min_share
+        alignment.is_settled() && alignment.structure_share >= self.min_share
     }
 
     /// Whether a sweep that is known to be near fits what there is of the map: at its ends, and in its gaps.
     fn fits_in_part(&self, alignment: &Alignment) -> bool {
-        is_settled(alignment) && alignment.structure_share >= PART * self.min_share && alignment.met_share >= MET_SHARE
+        alignment.is_settled() && alignment.structure_share >= PART * self.min_share && alignment.met_share >= MET_SHARE
     }
 
     /// The pose that fits best of all headings around a place; `None` where another heading nearly fits as well.
@@ -251,20 +249,8 @@ fn by_poses([ground, up, heading]: &[f64; 3]) -> [f64; 3] {
     [libm::hypot(*ground, FAR * heading), *up, *heading]
 }
 
-/// Whether a pose is where its steps lead.
-fn is_settled(alignment: &Alignment) -> bool {
-    let [shift, turn] = alignment.last_step;
-    shift <= SETTLED[0] && turn <= SETTLED[1]
-}
-
 /// The cell of a place on the ground.
 fn cell(position: &Vector3<f64>) -> [i32; 2] {
     // Casts bound what is too far, and take NaN to 0.
     [position.x, position.y].map(|at| (at / GROUND_CELL).floor().clamp(-1e9, 1e9) as i32)
-}
-
-/// A level pose.
-pub(crate) fn level(position: &Vector3<f64>, yaw: f64) -> Isometry3<f64> {
-    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
-    Isometry3::from_parts(Translation3::from(*position), turn)
 }

@@ -20,7 +20,7 @@ use realo_schemas::{Nanos, PointCloud, to_seconds};
 use crate::cell::{NO_CELL, cell_of, key_of};
 use crate::error::{BuildError, MAX_PLACE_M, SettingError};
 use crate::file::made;
-use crate::map::{MapInfo, VoxelMap};
+use crate::map::{Closure, MapInfo, VoxelMap};
 use crate::table::CellTable;
 use crate::view::View;
 use crate::voxel::{BYTES, Moments};
@@ -136,6 +136,7 @@ pub struct MapBuilder {
     /// Sums over sweeps of the squares of their poses' standard deviations.
     squares: [f64; 3],
     span: [Nanos; 2],
+    closure: Option<Closure>,
 }
 
 impl MapBuilder {
@@ -156,7 +157,13 @@ impl MapBuilder {
             sweeps: 0,
             squares: [0.0; 3],
             span: [Nanos::MAX, Nanos::MIN],
+            closure: None,
         })
+    }
+
+    /// Says how a pose graph found the poses of the sweeps.
+    pub fn closed(&mut self, closure: Closure) {
+        self.closure = Some(closure);
     }
 
     /// Sweeps that were added.
@@ -240,8 +247,11 @@ impl MapBuilder {
         self.views.extend(view);
     }
 
-    /// Whether an agent's last picture is old enough; then this is the last one.
+    /// Whether an agent's last picture is old enough; then this is the last one. No picture decides where all cells are kept.
     fn view_is_due(&mut self, sweep: &PosedSweep) -> bool {
+        if self.settings.empty_share >= 1.0 {
+            return false;
+        }
         let last = self.last_views.get(sweep.agent);
         let due = last.is_none_or(|last| sweep.stamp.saturating_sub(*last).saturating_abs() >= VIEW_PERIOD);
         if due {
@@ -304,6 +314,7 @@ impl MapBuilder {
             sweeps: self.sweeps,
             span: self.span,
             left_out: (order.len() - records.len()) as u64,
+            closure: self.closure,
         };
         Ok(made(info, &records))
     }

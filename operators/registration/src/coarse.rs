@@ -65,6 +65,7 @@ mod tests {
             sweeps: 1,
             span: [0; 2],
             left_out: 0,
+            closure: None,
         };
         made(info, &records)
     }

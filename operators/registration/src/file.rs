@@ -13,7 +13,11 @@
 //! | 88–95 | sweeps that it was built from, u64 |
 //! | 96–111 | stamps of the first and the last of them, i64, ns |
 //! | 112–119 | cells left out, u64 |
-//! | 120– | voxels of 32 bytes each, their keys rising |
+//! | 120–127 | keyframes whose poses a pose graph found, u64; 0: poses were given |
+//! | 128–135 | loops that were closed, u64 |
+//! | 136–151 | what they were off before and after, root mean square, f64, m |
+//! | 152–167 | the same of turns, f64, rad |
+//! | 168– | voxels of 32 bytes each, their keys rising |
 //! | … | the frame's name, UTF-8 |
 //! | last 4 | CRC-32 of all before |
 
@@ -25,14 +29,14 @@ use nalgebra::Point3;
 
 use crate::cell::{cell_of, key_of};
 use crate::error::{Flaw, MAX_PLACE_M, MapError};
-use crate::map::{MapInfo, VoxelMap};
+use crate::map::{Closure, MapInfo, VoxelMap};
 use crate::voxel::{BYTES, Record};
 
 /// What a map file begins with.
 pub const MAGIC: &[u8; 8] = b"REALOMAP";
 /// Version of the layout.
-const VERSION: u32 = 2;
-const HEAD: usize = 120;
+const VERSION: u32 = 3;
+const HEAD: usize = 168;
 const CHECKSUM: usize = 4;
 const MAX_NAME: usize = 255;
 
@@ -74,6 +78,10 @@ fn encode(info: &MapInfo, records: &[[u8; BYTES]]) -> Vec<u8> {
     bytes.extend(info.sweeps.to_le_bytes());
     bytes.extend(info.span.into_iter().flat_map(i64::to_le_bytes));
     bytes.extend(info.left_out.to_le_bytes());
+    let closure = info.closure.unwrap_or_default();
+    bytes.extend([closure.keyframes, closure.loops].into_iter().flat_map(u64::to_le_bytes));
+    let residuals = closure.residuals_m.into_iter().chain(closure.residuals_rad);
+    bytes.extend(residuals.flat_map(f64::to_le_bytes));
     bytes.extend(records.as_flattened());
     bytes.extend(name.as_bytes());
     bytes.extend(crc32fast::hash(&bytes).to_le_bytes());
@@ -182,7 +190,21 @@ fn info(mut head: Head, name: &[u8]) -> Result<MapInfo, Flaw> {
         sweeps: u64::from_le_bytes(head.take()),
         span: [i64::from_le_bytes(head.take()), i64::from_le_bytes(head.take())],
         left_out: u64::from_le_bytes(head.take()),
+        closure: closure(&mut head)?,
     })
+}
+
+/// How a pose graph found the poses; `None` where they were given.
+fn closure(head: &mut Head) -> Result<Option<Closure>, Flaw> {
+    let [keyframes, loops] = [(); 2].map(|()| u64::from_le_bytes(head.take()));
+    let mut residual = |name| head.number(name, "0 to 1e6", [0.0, 1e6]);
+    let closure = Closure {
+        keyframes,
+        loops,
+        residuals_m: [residual("residuals_m, before")?, residual("residuals_m, after")?],
+        residuals_rad: [residual("residuals_rad, before")?, residual("residuals_rad, after")?],
+    };
+    Ok((keyframes > 0).then_some(closure))
 }
 
 /// Refuses records out of order, and what no voxel has.
@@ -305,6 +327,12 @@ mod tests {
             sweeps: 30,
             span: [1, 3_000_000_000],
             left_out: 4,
+            closure: Some(Closure {
+                keyframes: 20,
+                loops: 3,
+                residuals_m: [1.5, 0.1],
+                residuals_rad: [0.02, 1e-3],
+            }),
         };
         encode(&info, &records.collect::<Vec<_>>())
     }
@@ -385,6 +413,8 @@ mod tests {
             (first + BYTES * 5, &[0xff], "`frame`: expected UTF-8"),
             (64, &f64::NAN.to_le_bytes(), "`pose_sigmas, on the ground`"),
             (88, &[7], "sound"),
+            (136, &(-1.0f64).to_le_bytes(), "`residuals_m, before`"),
+            (160, &f64::NAN.to_le_bytes(), "`residuals_rad, after`"),
         ] {
             let found = of(at, new);
             assert!(found.contains(expected), "byte {at}: {found}");

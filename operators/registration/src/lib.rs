@@ -36,7 +36,7 @@ mod voxel;
 pub use builder::{MapBuilder, MapSettings, PosedSweep};
 pub use error::{AlignError, BuildError, Flaw, MapError, SettingError};
 pub use file::MAGIC;
-pub use map::{MapInfo, VoxelMap};
+pub use map::{Closure, MapInfo, VoxelMap};
 pub use observe::Direction;
 pub use registrar::{Alignment, Registrar, RegistrarSettings, Search};
 pub use sample::{Sample, Sampler};

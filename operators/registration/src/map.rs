@@ -30,6 +30,21 @@ pub struct MapInfo {
     pub span: [Nanos; 2],
     /// Cells that were left out: seen too seldom, or seen empty too often.
     pub left_out: u64,
+    /// How a pose graph found the poses; `None` where they were given.
+    pub closure: Option<Closure>,
+}
+
+/// How a pose graph found the poses of a map's sweeps.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Closure {
+    /// Keyframes in the graph, 1 or more.
+    pub keyframes: u64,
+    /// Loops that were closed.
+    pub loops: u64,
+    /// What loops were off before and after, root mean square, m.
+    pub residuals_m: [f64; 2],
+    /// The same of turns, rad.
+    pub residuals_rad: [f64; 2],
 }
 
 /// Surfaces of what stands still, one per voxel. Immutable: it is made by [`MapBuilder`](crate::MapBuilder), or read from a file.

@@ -2,7 +2,7 @@
 
 mod wide;
 
-use nalgebra::{Isometry3, Matrix6, Quaternion, Translation3, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix6, Quaternion, Translation3, UnitQuaternion, Vector3, Vector6};
 use rayon::prelude::*;
 use realo_schemas::PointCloud;
 
@@ -20,6 +20,9 @@ const WIDENING: f64 = 2.5;
 const NARROWING: f64 = 0.6;
 /// Distances have at least this variance, m²: sensors and maps are not better than 2 cm.
 const MIN_VARIANCE: f64 = 0.02 * 0.02;
+/// A pose whose last step was longer is still on its way, m and rad. Steps need not become as short as the registrar would have them:
+/// points that change voxels move a pose to and fro by some millimetres.
+const SETTLED: [f64; 2] = [0.02, 1e-3];
 
 /// How sweeps are aligned.
 #[derive(Clone, Debug, PartialEq)]
@@ -40,6 +43,8 @@ pub struct RegistrarSettings {
     pub stop_deg: f64,
     /// Directions that a smaller share of the points tells keep the guess; 0 to 1.
     pub degenerate_share: f64,
+    /// Whether roll and pitch are those of the guess, as between level frames: what bends far points then does not lift the body.
+    pub is_level: bool,
 }
 
 impl Default for RegistrarSettings {
@@ -53,6 +58,7 @@ impl Default for RegistrarSettings {
             stop_m: 1e-3,
             stop_deg: 0.01,
             degenerate_share: 0.01,
+            is_level: false,
         }
     }
 }
@@ -129,6 +135,29 @@ impl Alignment {
     /// Whether some direction is degenerate.
     pub fn is_degenerate(&self) -> bool {
         self.directions.iter().any(|direction| direction.is_degenerate)
+    }
+
+    /// Whether the pose is where its steps lead.
+    pub fn is_settled(&self) -> bool {
+        let [shift, turn] = self.last_step;
+        shift <= SETTLED[0] && turn <= SETTLED[1]
+    }
+
+    /// The information with variances that are larger by `floor_m`², which turns have at the lever; degenerate directions weigh nothing.
+    pub fn weighed(&self, floor_m: f64) -> Matrix6<f64> {
+        let scale = |axis: usize| if axis < 3 { 1.0 } else { self.lever_m };
+        let mut weighed = Matrix6::zeros();
+        for direction in self.directions.iter().filter(|direction| !direction.is_degenerate) {
+            let vector = Vector6::from(direction.vector);
+            let unscaled = Vector6::from_fn(|axis, _| vector[axis] / scale(axis));
+            let told = unscaled.dot(&(self.information * unscaled));
+            // False for what is not a number too.
+            if told > 0.0 {
+                let scaled = Vector6::from_fn(|axis, _| vector[axis] * scale(axis));
+                weighed += scaled * scaled.transpose() / (1.0 / told + floor_m * floor_m);
+            }
+        }
+        weighed
     }
 }
 
@@ -263,7 +292,7 @@ impl Registrar {
             };
             progress.sums = sums(stage.map, &placed, sample, &kernel);
             progress.iterations += 1;
-            let Some(observed) = Observed::new(&progress.sums, self.settings.degenerate_share) else {
+            let Some(observed) = Observed::new(&progress.sums, self.settings.degenerate_share, self.settings.is_level) else {
                 return;
             };
             let step = limited(observed.step, stage.map.info().voxel_m);
@@ -279,7 +308,7 @@ impl Registrar {
 
     fn alignment(&self, progress: Progress, points: usize) -> Alignment {
         let sums = &progress.sums;
-        let observed = Observed::new(sums, self.settings.degenerate_share);
+        let observed = Observed::new(sums, self.settings.degenerate_share, self.settings.is_level);
         let variance = (sums.square / sums.weight).max(MIN_VARIANCE);
         let inliers = f64::from(sums.inliers);
         let [points_off, met_off, inliers_off] =

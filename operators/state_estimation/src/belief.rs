@@ -115,7 +115,7 @@ pub(crate) fn turned(map_from_imu: &UnitQuaternion<f64>, turn: &Vector3<f64>) ->
 }
 
 /// The rotation by a vector, rad.
-pub(crate) fn quaternion_of(turn: &Vector3<f64>) -> Quaternion<f64> {
+pub fn quaternion_of(turn: &Vector3<f64>) -> Quaternion<f64> {
     let angle = turn.norm();
     let (sin, cos) = libm::sincos(0.5 * angle);
     // sin(a/2)/a, by its series where the division would lose digits.
@@ -128,7 +128,7 @@ pub(crate) fn quaternion_of(turn: &Vector3<f64>) -> Quaternion<f64> {
 }
 
 /// The vector of a rotation, rad; of the shorter way round.
-pub(crate) fn vector_of(rotation: &UnitQuaternion<f64>) -> Vector3<f64> {
+pub fn vector_of(rotation: &UnitQuaternion<f64>) -> Vector3<f64> {
     let q = rotation.quaternion();
     let q = if q.scalar() < 0.0 { -q } else { *q };
     let vector = q.imag();

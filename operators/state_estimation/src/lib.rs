@@ -15,7 +15,7 @@
 //! | [`ScanPose`] | 10 Hz | position and heading, by its information: directions that the scan does not show stay as they are |
 //!
 //! An estimate begins with GNSS as soon as dead reckoning and fixes align to 0.1 rad, or with a scan's pose that agrees with
-//! GNSS, or with five scans that follow each other. It is given up when scans and GNSS agree against it, or when one of them contradicts
+//! GNSS, or with five scans that follow each other ([`Settings::scans_to_begin`]). It is given up when scans and GNSS agree against it, or when one of them contradicts
 //! it for as long as [`Limits`] say.
 //!
 //! No number from outside causes a panic. Results are the same bits on every machine.
@@ -23,12 +23,14 @@
 mod align;
 mod belief;
 mod correct;
+mod deskew;
 mod estimate;
 mod estimator;
 mod fault;
 mod filter;
 mod hold;
 mod imu;
+mod measured;
 mod models;
 mod predict;
 mod reckoning;
@@ -39,10 +41,13 @@ mod source;
 mod start;
 mod unit;
 
+pub use belief::{quaternion_of, vector_of};
+pub use deskew::{deskewed, level, level_pose};
 pub use estimate::{Estimate, Status};
 pub use estimator::{Estimator, Verdict};
 pub use fault::{Fault, Faults};
 pub use hold::{HoldEstimator, HoldSettings};
+pub use measured::{Measured, unit_of};
 pub use sample::{GnssFix, ImuSample, MapFix, Sample, ScanPose, WheelSpeed, information_at_body};
 pub use settings::{Earth, Limits, Mounting, ScanNoise, Settings, SettingsError};
 pub use unit::{Inertial, Receiver, STANDARD_GRAVITY, Unit, UnitNoise, Wheels};

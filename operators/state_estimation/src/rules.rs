@@ -28,6 +28,7 @@ pub(crate) struct Rules {
     pub earth: Earth,
     pub limits: Limits,
     pub scan: ScanNoise,
+    pub scans_to_begin: u32,
     pub body_from_imu: Isometry3<f64>,
     pub imu_from_body: Isometry3<f64>,
     pub antenna_in_imu: Vector3<f64>,
@@ -57,6 +58,7 @@ impl Rules {
             earth: settings.earth,
             limits: settings.limits,
             scan: settings.scan,
+            scans_to_begin: settings.scans_to_begin,
             frame: settings.frame,
         }
     }

@@ -119,6 +119,8 @@ pub struct Settings {
     pub limits: Limits,
     /// What is added to the covariance of scans.
     pub scan: ScanNoise,
+    /// So many scans that follow each other begin an estimate without GNSS; odometry sets out with the first.
+    pub scans_to_begin: u32,
     /// How long past states are kept, ns: a scan's pose may come so late.
     pub keep: Nanos,
 }
@@ -133,6 +135,7 @@ impl Settings {
             earth: Earth::SIMULATED,
             limits: Limits::default(),
             scan: ScanNoise::default(),
+            scans_to_begin: 5,
             keep: from_seconds(1.0),
         }
     }

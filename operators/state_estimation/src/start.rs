@@ -24,8 +24,6 @@ const DRIFT: f64 = 0.1;
 const HEIGHT: f64 = 10.0;
 /// A scan is compared with fixes that are no older, ns.
 const FRESH: Nanos = 2_000_000_000;
-/// So many scans that follow each other begin an estimate without GNSS.
-const SCANS: u32 = 5;
 
 /// What is gathered before there is an estimate.
 #[derive(Clone, Debug, Default, PartialEq)]
@@ -128,7 +126,7 @@ impl Start {
         let run = self.run_of(stamp, scan);
         let count = run.count;
         self.scans = Some(run);
-        Ok((count >= SCANS).then(|| self.begin_at_scan(scan, rules)))
+        Ok((count >= rules.scans_to_begin).then(|| self.begin_at_scan(scan, rules)))
     }
 
     /// A run of scans with one more, or one that begins with it.

@@ -1,13 +1,16 @@
 //! `realo map`: maps of what stands still, for localization.
 
 mod build;
+mod estimated;
+mod report;
+mod sweeps;
 
 use std::fmt;
 use std::path::PathBuf;
 
 use eyre::Result;
 use realo_cli::Outcome;
-use realo_registration::VoxelMap;
+use realo_registration::{Closure, VoxelMap};
 use serde::Serialize;
 
 /// Builds maps for localization, and describes them
@@ -70,6 +73,30 @@ struct Description {
     span: [i64; 2],
     /// Smallest and largest mean of a voxel along each axis, m in the frame.
     extent: [[f64; 2]; 3],
+    /// How a pose graph found the poses; absent where they were given.
+    #[serde(skip_serializing_if = "Option::is_none")]
+    closure: Option<ClosureDescription>,
+}
+
+/// [`Closure`], in JSON.
+#[derive(Serialize)]
+struct ClosureDescription {
+    keyframes: u64,
+    loops: u64,
+    /// What loops were off before and after, root mean square: m, rad.
+    residuals_m: [f64; 2],
+    residuals_rad: [f64; 2],
+}
+
+impl From<Closure> for ClosureDescription {
+    fn from(closure: Closure) -> Self {
+        ClosureDescription {
+            keyframes: closure.keyframes,
+            loops: closure.loops,
+            residuals_m: closure.residuals_m,
+            residuals_rad: closure.residuals_rad,
+        }
+    }
 }
 
 impl Description {
@@ -99,6 +126,7 @@ impl Description {
             sweeps: info.sweeps,
             span: info.span,
             extent,
+            closure: info.closure.map(ClosureDescription::from),
         }
     }
 }
@@ -122,6 +150,9 @@ impl fmt::Display for Description {
             f,
             "  poses     ± {ground:.3} m on the ground, {up:.3} m up, {heading:.3}°"
         )?;
+        if let Some(closure) = &self.closure {
+            writeln!(f, "  loops     {}", closed(closure))?;
+        }
         writeln!(
             f,
             "  frame     `{}`, origin at ({ox:.2}, {oy:.2}, {oz:.2}) m",
@@ -133,4 +164,18 @@ impl fmt::Display for Description {
             x[0], x[1], y[0], y[1], z[0], z[1]
         )
     }
+}
+
+/// What became of loops, in words.
+fn closed(closure: &ClosureDescription) -> String {
+    let ClosureDescription { keyframes, loops, .. } = closure;
+    if *loops == 0 {
+        return format!("none was closed among {keyframes} keyframes: odometry and GNSS alone place them");
+    }
+    let [before, after] = closure.residuals_m;
+    let [turned_before, turned_after] = closure.residuals_rad.map(f64::to_degrees);
+    format!(
+        "{loops} closed among {keyframes} keyframes; they were {before:.3} m and {turned_before:.3}° off before, {after:.3} m and \
+         {turned_after:.3}° after (root mean square)"
+    )
 }

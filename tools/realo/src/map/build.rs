@@ -6,21 +6,12 @@ use std::path::PathBuf;
 use clap::ValueEnum;
 use eyre::{Result, bail};
 use realo_cli::{Force, Outcome, Output, Progress, unfinished};
-use realo_logs::{AgentKind, Entry, Log, LogError, MAX_GAP, Stream, pose_track};
-use realo_registration::{MAGIC, MapBuilder, MapSettings, PosedSweep};
-use realo_schemas::Nanos;
-use realo_schemas::geometry::{Motion, PoseTrack};
-use realo_sync::{OwnBody, clean};
+use realo_logs::{Log, LogError, Stream};
+use realo_registration::{MAGIC, MapBuilder, MapSettings};
 
-use super::Description;
-
-/// What recorded poses are taken to be off by where they do not say it: on the ground and up, m, and the heading, rad.
-const UNKNOWN: [f64; 3] = [0.05, 0.1, 1.2e-3];
-/// Larger variances are none, m² and rad².
-const MAX_VARIANCE: f64 = 1e8;
-
-/// How high LiDARs are where a log does not say, m: on vehicles, on roadside units. It matters only to what was seen empty.
-const SENSOR_HEIGHTS: [f64; 2] = [1.9, 5.0];
+use super::estimated::estimate;
+use super::sweeps::{Agent, Counts, add};
+use super::{Description, report};
 
 const MAP: Output = Output::Known {
     name: "a map",
@@ -59,23 +50,19 @@ enum Poses {
     Recorded,
     /// Exact, where the log has them
     True,
+    /// Found by the vehicles' own sensors: odometry by IMU, wheels and sweeps, closed loops, GNSS as anchor
+    Estimated,
 }
 
 impl Poses {
-    fn stream(self) -> Stream {
+    /// Where the log has them; `None` where it does not.
+    fn stream(self) -> Option<Stream> {
         match self {
-            Poses::Recorded => Stream::Pose,
-            Poses::True => Stream::PoseTruth,
+            Poses::Recorded => Some(Stream::Pose),
+            Poses::True => Some(Stream::PoseTruth),
+            Poses::Estimated => None,
         }
     }
-}
-
-/// Sweeps that were not used as they should be.
-#[derive(Default)]
-struct Counts {
-    no_pose: u64,
-    unplaced: u64,
-    not_deskewed: u64,
 }
 
 /// Builds and writes the map; of a log that was cut what is left is used, and the command ends with 3.
@@ -98,13 +85,23 @@ pub fn main(args: &Args) -> Result<Outcome> {
     let mut builder = MapBuilder::new(settings, one_frame(&logs)?)?;
     let agents: Vec<Vec<String>> = logs.iter().map(|log| agents_of(args, log)).collect::<Result<_>>()?;
     check_agents(args, &agents)?;
-    let sweeps =
-        |(log, agents): (&Log, &Vec<String>)| agents.iter().map(|agent| log.count(agent, Stream::Points)).sum::<u64>();
-    let all: u64 = logs.iter().zip(&agents).map(sweeps).sum();
+    let posed = match args.poses.stream() {
+        Some(stream) => posed(&logs, &agents, stream)?,
+        None => {
+            let estimated = estimate(&logs, &agents, args.voxel)?;
+            report::print(&estimated);
+            builder.closed(estimated.closure());
+            estimated.posed
+        }
+    };
+    let sweeps = |(log, agents): (&Log, &BTreeMap<String, Agent>)| {
+        agents.keys().map(|agent| log.count(agent, Stream::Points)).sum::<u64>()
+    };
+    let all: u64 = logs.iter().zip(&posed).map(sweeps).sum();
     let progress = Progress::new("building the map", "sweeps", Some(all as f64));
-    for (log, agents) in logs.iter().zip(&agents) {
+    for (log, agents) in logs.iter().zip(&posed) {
         let mut counts = Counts::default();
-        add(log, agents, args.poses, &mut builder, &mut counts, &progress)?;
+        add(log, agents, &mut builder, &mut counts, &progress)?;
         counts.report(log);
     }
     progress.rename("deciding what stands still", "cells");
@@ -146,9 +143,20 @@ fn agents_of(args: &Args, log: &Log) -> Result<Vec<String>> {
     }
     for agent in &wanted {
         log.need(agent, Stream::Points)?;
-        log.need(agent, args.poses.stream())?;
+        if let Some(stream) = args.poses.stream() {
+            log.need(agent, stream)?;
+        }
     }
     Ok(wanted)
+}
+
+/// The agents of each log with the poses that it has.
+fn posed(logs: &[Log], agents: &[Vec<String>], stream: Stream) -> Result<Vec<BTreeMap<String, Agent>>, LogError> {
+    let of = |(log, agents): (&Log, &Vec<String>)| {
+        let known = agents.iter().map(|agent| Ok((agent.clone(), Agent::of(log, agent, stream)?)));
+        known.collect()
+    };
+    logs.iter().zip(agents).map(of).collect()
 }
 
 /// Refuses names that no log has.
@@ -157,131 +165,5 @@ fn check_agents(args: &Args, found: &[Vec<String>]) -> Result<()> {
     match args.agents.iter().find(is_unknown) {
         Some(name) => bail!("--agents {name}: no log has an agent of that name; `realo info` lists them"),
         None => Ok(()),
-    }
-}
-
-/// Adds the sweeps of a log, in order of time.
-fn add(
-    log: &Log,
-    agents: &[String],
-    poses: Poses,
-    builder: &mut MapBuilder,
-    counts: &mut Counts,
-    progress: &Progress,
-) -> Result<()> {
-    if agents.is_empty() {
-        return Ok(());
-    }
-    let mut known: BTreeMap<&str, Agent> = BTreeMap::new();
-    for agent in agents {
-        known.insert(agent, Agent::of(log, agent, poses.stream())?);
-    }
-    let wanted: Vec<(&str, Stream)> = agents.iter().map(|agent| (&**agent, Stream::Points)).collect();
-    let mut reader = log.read_all(&wanted)?;
-    while let Some(entry) = reader.next()? {
-        if let Some(agent) = known.get(&*entry.agent) {
-            agent.add(&entry, builder, counts)?;
-        }
-        progress.add(1.0);
-    }
-    Ok(())
-}
-
-/// What must be known of an agent to use its sweeps.
-struct Agent {
-    track: PoseTrack,
-    sigmas: [f64; 3],
-    sensor: [f64; 3],
-    own_body: Option<OwnBody>,
-}
-
-impl Agent {
-    fn of(log: &Log, name: &str, stream: Stream) -> Result<Self, LogError> {
-        let info = log.info().agent(name);
-        let is_vehicle = info.is_none_or(|info| info.kind == AgentKind::Vehicle);
-        let [vehicle, roadside] = SENSOR_HEIGHTS;
-        let unknown = [0.0, 0.0, if is_vehicle { vehicle } else { roadside }];
-        Ok(Agent {
-            track: pose_track(log, name, stream, MAX_GAP)?,
-            sigmas: sigmas(log, name, stream)?,
-            sensor: info.and_then(|info| info.sensor_position).unwrap_or(unknown),
-            own_body: is_vehicle.then_some(OwnBody::V2X_REAL),
-        })
-    }
-
-    /// Adds a sweep, without the agent's motion and body.
-    fn add(&self, entry: &Entry, builder: &mut MapBuilder, counts: &mut Counts) -> Result<()> {
-        let stamp = entry.stamp();
-        let Some(map_from_body) = self.track.at(stamp) else {
-            counts.no_pose += 1;
-            return Ok(());
-        };
-        let cloud = match entry.cloud() {
-            Err(LogError::Unplaced { .. }) => {
-                counts.unplaced += 1;
-                return Ok(());
-            }
-            cloud => cloud?,
-        };
-        let times = [cloud.time.iter().min(), cloud.time.iter().max()];
-        let [first, last] = times.map(|time| time.map_or(0, |time| Nanos::from(*time)));
-        let motion = Motion::new(&self.track, stamp, first, last);
-        counts.not_deskewed += u64::from(motion.is_none());
-        let cloud = clean(&cloud, self.own_body, motion.as_ref()).cloud;
-        builder.add(&PosedSweep {
-            agent: &entry.agent,
-            stamp,
-            cloud: &cloud,
-            map_from_body: &map_from_body,
-            sensor: self.sensor,
-            sigmas: self.sigmas,
-        })?;
-        Ok(())
-    }
-}
-
-/// Standard deviations of an agent's poses in the mean, as [`PosedSweep::sigmas`] has them.
-fn sigmas(log: &Log, agent: &str, stream: Stream) -> Result<[f64; 3], LogError> {
-    if stream == Stream::PoseTruth {
-        return Ok([0.0; 3]);
-    }
-    let (mut sums, mut poses) = ([0.0; 3], 0.0);
-    let mut reader = log.read_all(&[(agent, stream)])?;
-    while let Some(entry) = reader.next()? {
-        let Ok(state) = entry.pose() else { continue };
-        let said = state.covariance.map(|of| [0.5 * (of[0] + of[7]), of[14], of[35]]);
-        // False for what is not a number too.
-        let said = said.filter(|of| of.iter().all(|variance| (0.0..=MAX_VARIANCE).contains(variance)));
-        let variances = said.unwrap_or(UNKNOWN.map(|sigma| sigma * sigma));
-        sums.iter_mut().zip(variances).for_each(|(sum, of)| *sum += of);
-        poses += 1.0;
-    }
-    Ok(match poses > 0.0 {
-        true => sums.map(|sum| (sum / poses).sqrt()),
-        false => UNKNOWN,
-    })
-}
-
-impl Counts {
-    fn report(&self, log: &Log) {
-        let path = log.path().display();
-        for (count, what) in [
-            (
-                self.no_pose,
-                "sweeps were left out, for no pose is known at their stamps",
-            ),
-            (
-                self.unplaced,
-                "sweeps were left out, for no transform brings them to the body frame",
-            ),
-            (
-                self.not_deskewed,
-                "sweeps keep the agent's motion, for no poses are known during them",
-            ),
-        ] {
-            if count > 0 {
-                eprintln!("realo: {path}: {count} {what}");
-            }
-        }
     }
 }

@@ -1,10 +1,10 @@
 //! The motion within a sweep, by what is estimated.
 
-use realo_schemas::geometry::{Motion, PoseTrack};
+use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
+use realo_schemas::geometry::{Motion, PoseTrack, yaw_of};
 use realo_schemas::{Nanos, PointCloud};
-use realo_state_estimation::Estimate;
 
-use crate::agent::level_pose;
+use crate::Estimate;
 
 /// Poses during a sweep are this far apart, ns.
 const STEP: Nanos = 10_000_000;
@@ -14,7 +14,7 @@ const LONGEST: Nanos = 1_000_000_000;
 const UNSURE: f64 = 1.0;
 
 /// A sweep in the level body frame at its stamp; `None` while the motion during it is not known.
-pub(crate) fn deskewed(
+pub fn deskewed(
     cloud: &PointCloud,
     stamp: Nanos,
     estimate_at: impl Fn(Nanos) -> Option<Estimate>,
@@ -41,12 +41,24 @@ pub(crate) fn deskewed(
     })
 }
 
+/// The pose of the level body frame.
+pub fn level_pose(estimate: &Estimate) -> Isometry3<f64> {
+    let pose = &estimate.map_from_body;
+    level(&pose.translation.vector, yaw_of(&pose.rotation))
+}
+
+/// A level pose.
+pub fn level(position: &Vector3<f64>, yaw: f64) -> Isometry3<f64> {
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), yaw);
+    Isometry3::from_parts(Translation3::from(*position), turn)
+}
+
 #[cfg(test)]
 mod tests {
-    use nalgebra::{Isometry3, Matrix6, Vector3};
-    use realo_state_estimation::Status;
+    use nalgebra::Matrix6;
 
     use super::*;
+    use crate::Status;
 
     const MS: Nanos = 1_000_000;
 
