@@ -4,8 +4,9 @@ mod common;
 
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::process::Command;
 
-use common::{folder, realo, realo_ok, simulated, text};
+use common::{REALO, folder, realo, realo_ok, simulated, text};
 use serde_json::Value;
 
 /// Three seconds of a vehicle and a roadside unit.
@@ -94,4 +95,77 @@ fn what_cannot_be_built_or_read_is_refused_by_name() {
     fs::write(&map, bytes).unwrap();
     let said = refused(&["map", "info", &map]);
     assert!(said.contains("checksum") && said.contains("street.map"), "{said}");
+}
+
+/// Eight seconds of a drive with motion sensors.
+fn drive(name: &str, more: &[&str]) -> PathBuf {
+    let args = "--scenario loop --seed 900 --place 900 --seconds 8 --key-hz 1 --agents cav1,rsu1 --vehicle-sensor spinning-16 \
+                --roadside-sensor spinning-16";
+    let args: Vec<&str> = args.split_whitespace().chain(more.iter().copied()).collect();
+    simulated(name, &args)
+}
+
+#[test]
+fn poses_are_found_by_sensors_and_what_is_wrong_is_told() {
+    let folder = folder("maps_estimated");
+    let log = shown(&drive("maps_estimated", &["--inertial", "tactical"]));
+    let maps = ["one.map", "three.map"].map(|name| folder.join(name));
+    let said = ["1", "3"].iter().zip(&maps).map(|(threads, map)| {
+        let args = ["map", "build", &log, "--poses", "estimated", "-o", &shown(map)];
+        let output = Command::new(REALO)
+            .args(args)
+            .env("RAYON_NUM_THREADS", threads)
+            .output();
+        let output = output.expect("realo starts");
+        assert!(output.status.success(), "{}", text(&output.stderr));
+        [text(&output.stdout), text(&output.stderr)]
+    });
+    let said: Vec<[String; 2]> = said.collect();
+    assert!(
+        fs::read(&maps[0]).unwrap() == fs::read(&maps[1]).unwrap(),
+        "threads change bytes"
+    );
+    let [out, notes] = &said[0];
+    assert!(
+        out.contains("before loops were closed") && out.contains("aligned as a whole"),
+        "{out}"
+    );
+    assert!(
+        notes.contains("cav1: no loop was closed") && notes.contains("`rsu1` does not drive"),
+        "{notes}"
+    );
+
+    let described = info(&maps[0]);
+    assert_eq!(described["closure"]["loops"], Value::from(0));
+    assert!(described["closure"]["keyframes"].as_u64().unwrap() > 5, "{described}");
+    // Over a short way GNSS without corrections says little.
+    assert!(described["pose_sigmas"][0].as_f64().unwrap() > 0.3, "{described}");
+    assert!(info_text(&maps[0]).contains("none was closed among"));
+    // A map by given poses has no graph.
+    build(&folder.join("given.map"), &["--agents", "cav1"]);
+    assert!(info(&folder.join("given.map"))["closure"].is_null());
+
+    let bare = shown(&drive("maps_estimated_bare", &[]));
+    let map = shown(&folder.join("bare.map"));
+    let said = refused(&["map", "build", &bare, "--poses", "estimated", "-o", &map]);
+    assert!(
+        said.contains("/cav1/imu") && said.contains("--poses recorded"),
+        "{said}"
+    );
+    let said = refused(&[
+        "map",
+        "build",
+        &log,
+        "--poses",
+        "estimated",
+        "--agents",
+        "rsu1",
+        "-o",
+        &map,
+    ]);
+    assert!(said.contains("expected a vehicle"), "{said}");
+}
+
+fn info_text(map: &Path) -> String {
+    realo_ok(["map", "info", &shown(map)])
 }

@@ -7,8 +7,8 @@ use realo_schemas::geometry::yaw_of;
 use realo_schemas::{AgentState, Header, Motion, Nanos, PointCloud, PoseStatus};
 use realo_state_estimation as estimation;
 use realo_state_estimation::{
-    Estimate, Estimator, HoldEstimator, HoldSettings, Measured, Mounting, Sample, ScanPose, Status, Unit, deskewed, level_pose,
-    unit_of,
+    Estimate, Estimator, HoldEstimator, HoldSettings, Measured, Mounting, Sample, ScanPose, Status, Unit, deskewed,
+    level_pose, unit_of,
 };
 
 use crate::faults::{Reported, SCAN_FEW_POINTS, SCAN_OFF_MAP, SCAN_UNFIT, SCANS, SEARCHES, Taken};

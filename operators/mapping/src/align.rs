@@ -64,7 +64,8 @@ fn weighed(pairs: &[Pair], before: Option<(&Isometry3<f64>, f64)>) -> Option<Pla
         .collect();
     let total: f64 = weights.iter().map(|[ground, _]| ground).sum();
     // False for what is not a number too.
-    if !(total > 0.0) {
+    let has_weight = total > 0.0;
+    if !has_weight {
         return None;
     }
     let mean = |of: &dyn Fn(&Pair) -> Vector3<f64>| {
@@ -81,7 +82,10 @@ fn weighed(pairs: &[Pair], before: Option<(&Isometry3<f64>, f64)>) -> Option<Pla
     }
     let rotation = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), libm::atan2(cross, dot));
     let high: f64 = weights.iter().map(|[_, up]| up).sum();
-    let up = pairs.iter().zip(&weights).map(|(pair, [_, up])| up * (pair.to.z - pair.from.z));
+    let up = pairs
+        .iter()
+        .zip(&weights)
+        .map(|(pair, [_, up])| up * (pair.to.z - pair.from.z));
     let mut shift = to - rotation * from;
     shift.z = if high > 0.0 { up.sum::<f64>() / high } else { 0.0 };
     Some(Planar {

@@ -129,11 +129,15 @@ impl Anchored {
 pub(crate) fn anchored(keyframes: &[Keyframe], track: &PoseTrack, fixes: &[Fix]) -> Vec<Anchored> {
     let mut groups: Vec<Vec<(&Fix, Vector3<f64>)>> = vec![Vec::new(); keyframes.len()];
     for fix in fixes {
-        let Some(odom_from_body) = track.at(fix.stamp) else { continue };
+        let Some(odom_from_body) = track.at(fix.stamp) else {
+            continue;
+        };
         let after = keyframes.partition_point(|keyframe| keyframe.stamp < fix.stamp);
         let apart = |at: usize| (keyframes[at].stamp - fix.stamp).saturating_abs();
         let nearest = [after.checked_sub(1), (after < keyframes.len()).then_some(after)];
-        let Some(nearest) = nearest.into_iter().flatten().min_by_key(|at| apart(*at)) else { continue };
+        let Some(nearest) = nearest.into_iter().flatten().min_by_key(|at| apart(*at)) else {
+            continue;
+        };
         let body_from_then = keyframes[nearest].odom_from_body.inv_mul(&odom_from_body);
         let antenna = body_from_then * nalgebra::Point3::from(fix.antenna);
         groups[nearest].push((fix, antenna.coords));
@@ -142,7 +146,9 @@ pub(crate) fn anchored(keyframes: &[Keyframe], track: &PoseTrack, fixes: &[Fix])
     let last = fixes.last().map_or(0, |fix| fix.stamp);
     let period = to_seconds(last.saturating_sub(first)) / fixes.len().max(2).saturating_sub(1) as f64;
     let with_fixes = groups.iter().enumerate().filter(|(_, group)| !group.is_empty());
-    with_fixes.map(|(keyframe, group)| mean(keyframe, group, period.max(SHORTEST_S))).collect()
+    with_fixes
+        .map(|(keyframe, group)| mean(keyframe, group, period.max(SHORTEST_S)))
+        .collect()
 }
 
 fn mean(keyframe: usize, group: &[(&Fix, Vector3<f64>)], period: f64) -> Anchored {
@@ -165,6 +171,8 @@ fn mean(keyframe: usize, group: &[(&Fix, Vector3<f64>)], period: f64) -> Anchore
         position: sum(&|(fix, _)| fix.position) / count,
         has_height: group.iter().all(|(fix, _)| fix.has_height),
         variance: variance / count,
-        said: group.iter().fold(Vector3::zeros(), |most, (fix, _)| most.sup(&fix.variance)),
+        said: group
+            .iter()
+            .fold(Vector3::zeros(), |most, (fix, _)| most.sup(&fix.variance)),
     }
 }

@@ -33,10 +33,17 @@ pub struct Errors {
 pub fn errors(poses: &[[Isometry3<f64>; 2]]) -> Option<Errors> {
     let pairs: Vec<Pair> = poses.iter().map(|[pose, truth]| pair(pose, truth)).collect();
     let moved = align(&pairs)?.to_from_from;
-    let middle = poses.iter().map(|[pose, _]| pose.translation.vector).sum::<Vector3<f64>>() / poses.len() as f64;
+    let middle = poses
+        .iter()
+        .map(|[pose, _]| pose.translation.vector)
+        .sum::<Vector3<f64>>()
+        / poses.len() as f64;
     let shift = (moved * nalgebra::Point3::from(middle)).coords - middle;
     let absolute: Vec<[f64; 3]> = poses.iter().map(|[pose, truth]| error(pose, truth)).collect();
-    let aligned: Vec<[f64; 3]> = poses.iter().map(|[pose, truth]| error(&(moved * pose), truth)).collect();
+    let aligned: Vec<[f64; 3]> = poses
+        .iter()
+        .map(|[pose, truth]| error(&(moved * pose), truth))
+        .collect();
     let each = |errors: &[[f64; 3]]| [0, 1, 2].map(|of| spread(errors.iter().map(|error| error[of]).collect()));
     Some(Errors {
         poses: poses.len(),
@@ -100,7 +107,10 @@ mod tests {
         let [aligned, up, heading] = errors.aligned;
         assert!(aligned.p95 < 0.02 && (aligned.max - 0.5).abs() < 0.02, "{aligned:?}");
         assert!(heading.max < 0.05 && up.max < 1e-9, "{heading:?} {up:?}");
-        assert!((errors.offset[0] - 1.5).abs() < 0.02 && (errors.offset[1] - 0.573).abs() < 0.05, "{errors:?}");
+        assert!(
+            (errors.offset[0] - 1.5).abs() < 0.02 && (errors.offset[1] - 0.573).abs() < 0.05,
+            "{errors:?}"
+        );
         assert_eq!(super::errors(&[]), None);
     }
 }

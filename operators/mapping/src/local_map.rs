@@ -1,7 +1,7 @@
 //! Maps of some keyframes, for registration.
 
 use nalgebra::Isometry3;
-use realo_registration::{MapBuilder, RegistrarSettings, MapSettings, PosedSweep, SettingError, VoxelMap};
+use realo_registration::{MapBuilder, MapSettings, PosedSweep, RegistrarSettings, SettingError, VoxelMap};
 
 use crate::keyframe::Keyframe;
 

@@ -91,7 +91,9 @@ impl Nodes<'_> {
                 for earlier in near.filter(|earlier| self.is_other_pass(**earlier, later)) {
                     let way = self.poses[*earlier].translation.vector - self.poses[later].translation.vector;
                     let way = way.xy().norm();
-                    let best = nearest.entry(self.pieces[*earlier]).or_insert((f64::INFINITY, *earlier));
+                    let best = nearest
+                        .entry(self.pieces[*earlier])
+                        .or_insert((f64::INFINITY, *earlier));
                     if way <= how.radius_m && way < best.0 {
                         *best = (way, *earlier);
                     }
@@ -147,7 +149,11 @@ impl Nodes<'_> {
 
 /// Whether a sweep was taken where it fits.
 fn fits(found: &Alignment) -> bool {
-    let told = found.directions.iter().filter(|direction| !direction.is_degenerate).count();
+    let told = found
+        .directions
+        .iter()
+        .filter(|direction| !direction.is_degenerate)
+        .count();
     found.is_settled() && found.structure_share >= MIN_SHARE && told >= MIN_DIRECTIONS
 }
 

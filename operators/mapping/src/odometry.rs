@@ -2,9 +2,7 @@
 
 use nalgebra::{Isometry3, Matrix6, Vector3};
 use realo_geodesy::{Geodetic, LocalFrame};
-use realo_registration::{
-    AlignError, Alignment, Registrar, Sampler, Search, SettingError, VoxelMap,
-};
+use realo_registration::{AlignError, Alignment, Registrar, Sampler, Search, SettingError, VoxelMap};
 use realo_schemas::geometry::{normalize_yaw, yaw_of};
 use realo_schemas::{Motion, Nanos, PointCloud};
 use realo_state_estimation::{
@@ -70,7 +68,7 @@ pub struct Counts {
     pub few_points: u64,
     /// Sweeps that do not fit the last ones.
     pub unfit: u64,
-    /// Samples of the IMU, of wheels.
+    /// Samples of the IMU.
     pub imu: u64,
     /// Speeds of the wheels.
     pub wheels: u64,
@@ -241,7 +239,8 @@ impl Odometry {
     fn break_off(&mut self) {
         self.local = None;
         self.offset = Offset::default();
-        self.pieces.extend(self.piece.take().filter(|piece| !piece.keyframes.is_empty()));
+        self.pieces
+            .extend(self.piece.take().filter(|piece| !piece.keyframes.is_empty()));
     }
 
     /// The sweep's pose by the local map; `None` without a map.
@@ -277,14 +276,20 @@ impl Odometry {
     fn follow(&mut self, stamp: Nanos, estimate: &Estimate, found: Option<&Alignment>) -> Isometry3<f64> {
         let by_filter = level_pose(estimate);
         let offset = found.map_or(self.offset, |found| Offset::between(&by_filter, &found.map_from_body));
-        let last = self.piece.as_ref().and_then(|piece| piece.track.last().map(|(at, _)| *at));
+        let last = self
+            .piece
+            .as_ref()
+            .and_then(|piece| piece.track.last().map(|(at, _)| *at));
         let from = last.unwrap_or(stamp);
         let mut poses = Vec::new();
         let mut at = from.saturating_add(STEP);
         while at < stamp {
             let share = (at - from) as f64 / (stamp - from) as f64;
             let between = self.offset.towards(&offset, share);
-            poses.extend(self.estimate_at(at).map(|estimate| (at, between.of(&level_pose(&estimate)))));
+            poses.extend(
+                self.estimate_at(at)
+                    .map(|estimate| (at, between.of(&level_pose(&estimate)))),
+            );
             at += STEP;
         }
         let pose = offset.of(&by_filter);
@@ -299,7 +304,8 @@ impl Odometry {
         let last = self.piece.as_ref().and_then(|piece| piece.keyframes.last());
         last.is_none_or(|last| {
             let step = last.odom_from_body.inv_mul(pose);
-            step.translation.vector.norm() >= self.settings.apart[0] || yaw_of(&step.rotation).abs() >= self.settings.apart[1]
+            step.translation.vector.norm() >= self.settings.apart[0]
+                || yaw_of(&step.rotation).abs() >= self.settings.apart[1]
         })
     }
 
@@ -366,7 +372,10 @@ impl Offset {
     }
 
     fn of(&self, pose: &Isometry3<f64>) -> Isometry3<f64> {
-        level(&(pose.translation.vector + self.shift), yaw_of(&pose.rotation) + self.turn)
+        level(
+            &(pose.translation.vector + self.shift),
+            yaw_of(&pose.rotation) + self.turn,
+        )
     }
 }
 

@@ -129,7 +129,10 @@ pub fn solve(drives: &[Drive], voxel_m: f64) -> Result<Mapped, MappingError> {
     let (mut loops, mut candidates): (Vec<Edge>, usize) = (Vec::new(), 0);
     let mut solution = None;
     for how in [FIRST, SECOND] {
-        let Found { candidates: found, edges } = nodes.loops(&LoopSearch { voxel_m, ..how })?;
+        let Found {
+            candidates: found,
+            edges,
+        } = nodes.loops(&LoopSearch { voxel_m, ..how })?;
         candidates = candidates.max(found);
         // A pair that is found anew is known better now.
         loops.retain(|old| !edges.iter().any(|new| (new.from, new.to) == (old.from, old.to)));
@@ -140,7 +143,9 @@ pub fn solve(drives: &[Drive], voxel_m: f64) -> Result<Mapped, MappingError> {
         solution = Some(graph.solve(&SolverSettings::default())?);
         nodes.poses.clone_from(&graph.nodes);
     }
-    let Some(solution) = solution else { return Err(MappingError::NoKeyframes) };
+    let Some(solution) = solution else {
+        return Err(MappingError::NoKeyframes);
+    };
     let closed: Vec<&Edge> = loops
         .iter()
         .zip(&solution.edge_weights[odometry_edges..])
@@ -162,7 +167,9 @@ pub fn solve(drives: &[Drive], voxel_m: f64) -> Result<Mapped, MappingError> {
         closed: &closed,
         solution: &solution,
     };
-    let drives = (0..drives.len()).map(|drive| all.drive(drives, drive, &graph)).collect::<Result<_, _>>()?;
+    let drives = (0..drives.len())
+        .map(|drive| all.drive(drives, drive, &graph))
+        .collect::<Result<_, _>>()?;
     Ok(Mapped { drives, summary })
 }
 
@@ -249,9 +256,16 @@ fn graph_of(placed: &[Placed], nodes: &Nodes, is_anchored: bool) -> PoseGraph {
         }
         let levels = (part.first..part.first + keyframes.len()).map(|node| Level { node, sigma: LEVEL });
         graph.levels.extend(levels);
-        let anchors = part.anchored.iter().map(|anchor| anchor.factor(part.first + anchor.keyframe));
+        let anchors = part
+            .anchored
+            .iter()
+            .map(|anchor| anchor.factor(part.first + anchor.keyframe));
         graph.anchors.extend(anchors);
-        let known = if number == 0 && !is_anchored { BEGINNING } else { NOTHING };
+        let known = if number == 0 && !is_anchored {
+            BEGINNING
+        } else {
+            NOTHING
+        };
         graph.priors.push(Prior {
             node: part.first,
             map_from_body: nodes.poses[part.first],
@@ -296,7 +310,11 @@ impl Parts<'_> {
             has_heading |= part.has_heading;
         }
         let is_of = |node: usize| self.placed[self.nodes.pieces[node]].drive == drive;
-        let loops = self.closed.iter().filter(|edge| is_of(edge.from) || is_of(edge.to)).count();
+        let loops = self
+            .closed
+            .iter()
+            .filter(|edge| is_of(edge.from) || is_of(edge.to))
+            .count();
         let pieces = drives[drive].pieces.len();
         Ok(MappedDrive {
             track,

@@ -19,7 +19,10 @@ fn with(change: impl Fn(&mut Plan)) -> Plan {
 }
 
 fn on_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
-    let pool = rayon::ThreadPoolBuilder::new().num_threads(threads).build().expect("threads");
+    let pool = rayon::ThreadPoolBuilder::new()
+        .num_threads(threads)
+        .build()
+        .expect("threads");
     pool.install(work)
 }
 
@@ -27,7 +30,15 @@ fn on_threads<T: Send>(threads: usize, work: impl FnOnce() -> T + Send) -> T {
 fn bits(mapped: &MappedDrive, plan: &Plan) -> Vec<u64> {
     let poses = sweeps(plan).filter_map(|stamp| mapped.track.at(stamp));
     poses
-        .flat_map(|pose| [pose.translation.x, pose.translation.y, pose.translation.z, pose.rotation.k].map(f64::to_bits))
+        .flat_map(|pose| {
+            [
+                pose.translation.x,
+                pose.translation.y,
+                pose.translation.z,
+                pose.rotation.k,
+            ]
+            .map(f64::to_bits)
+        })
         .collect()
 }
 
@@ -36,17 +47,25 @@ fn laps_close_and_the_map_is_off_by_what_gnss_is_off() {
     let (block, plan) = (Block::new(5), Plan::LAPS);
     let mapped = [1, 3].map(|threads| on_threads(threads, || solve(&[drive(&block, &plan)], 1.0).expect("poses")));
     let [one, three] = &mapped;
-    assert!(bits(&one.drives[0], &plan) == bits(&three.drives[0], &plan), "threads change bits");
+    assert!(
+        bits(&one.drives[0], &plan) == bits(&three.drives[0], &plan),
+        "threads change bits"
+    );
     assert_eq!(one.summary, three.summary);
 
     let (summary, found) = (&one.summary, &one.drives[0]);
-    assert!(summary.is_anchored && summary.converged && summary.loops >= 5, "{summary:?}");
+    assert!(
+        summary.is_anchored && summary.converged && summary.loops >= 5,
+        "{summary:?}"
+    );
     let [[before, _], [after, _]] = summary.residuals;
     assert!(after < 0.05 && after <= before, "{summary:?}");
     let errors = off(&plan, &found.track);
-    println!("before {:?}\nafter {errors:?} {:?}", off(&plan, &found.before), found.sigmas);
     assert!(errors.poses > 180, "{errors:?}");
-    assert!(errors.aligned[0].p95 < 0.08 && errors.aligned[2].p95 < 0.15, "{errors:?}");
+    assert!(
+        errors.aligned[0].p95 < 0.08 && errors.aligned[2].p95 < 0.15,
+        "{errors:?}"
+    );
     // The whole is where GNSS says, and knows that this is not sure.
     assert!(errors.absolute[0].mean < 1.6, "{errors:?}");
     assert!(found.sigmas[0] > 0.3 && found.sigmas[0] < 4.0, "{:?}", found.sigmas);
@@ -68,7 +87,9 @@ fn two_days_become_one_map_and_drives_that_never_meet_are_told() {
     assert_eq!(mapped.drives[2].loops, 0);
     // Days that GNSS has 2 m apart agree to centimetres.
     let posed = plans[..2].iter().zip(&mapped.drives).flat_map(|(plan, of)| {
-        sweeps(plan).filter_map(|stamp| Some([of.track.at(stamp)?, true_pose(plan, stamp)])).collect::<Vec<_>>()
+        sweeps(plan)
+            .filter_map(|stamp| Some([of.track.at(stamp)?, true_pose(plan, stamp)]))
+            .collect::<Vec<_>>()
     });
     let errors = errors(&posed.collect::<Vec<_>>()).expect("poses");
     assert!(errors.aligned[0].p95 < 0.12, "{errors:?}");
@@ -78,11 +99,18 @@ fn two_days_become_one_map_and_drives_that_never_meet_are_told() {
 fn without_gnss_the_map_begins_where_the_drive_does() {
     let plan = with(|plan| plan.has_fixes = false);
     let mapped = solve(&[drive(&Block::new(5), &plan)], 1.0).expect("poses");
-    assert!(!mapped.summary.is_anchored && mapped.summary.loops >= 5, "{:?}", mapped.summary);
+    assert!(
+        !mapped.summary.is_anchored && mapped.summary.loops >= 5,
+        "{:?}",
+        mapped.summary
+    );
     let errors = off(&plan, &mapped.drives[0].track);
     assert!(errors.aligned[0].p95 < 0.08, "{errors:?}");
     // Beside a drive with GNSS it has no place.
-    let both = [drive(&Block::new(5), &plan), drive(&Block::new(5), &with(|plan| plan.seconds = 8))];
+    let both = [
+        drive(&Block::new(5), &plan),
+        drive(&Block::new(5), &with(|plan| plan.seconds = 8)),
+    ];
     let mapped = solve(&both, 1.0).expect("poses");
     assert_eq!([mapped.drives[0].keyframes, mapped.drives[0].pieces[1]], [0, 1]);
     assert!(mapped.drives[1].keyframes > 0 && mapped.drives[1].loops == 0);

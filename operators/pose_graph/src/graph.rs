@@ -116,7 +116,11 @@ impl PoseGraph {
             steps,
             converged,
             edge_weights: self.edges.iter().map(|edge| weigh(edge.linear(&self.nodes))).collect(),
-            anchor_weights: self.anchors.iter().map(|anchor| weigh(anchor.linear(&self.nodes))).collect(),
+            anchor_weights: self
+                .anchors
+                .iter()
+                .map(|anchor| weigh(anchor.linear(&self.nodes)))
+                .collect(),
         })
     }
 
@@ -159,7 +163,10 @@ impl PoseGraph {
                 if let Some(step) = step {
                     let longest = step.iter().map(Vector6::amax).fold(0.0, f64::max);
                     let old = self.nodes.clone();
-                    self.nodes.iter_mut().zip(&step).for_each(|(node, step)| *node = stepped(node, step));
+                    self.nodes
+                        .iter_mut()
+                        .zip(&step)
+                        .for_each(|(node, step)| *node = stepped(node, step));
                     let cost = self.cost(widening);
                     if cost <= now {
                         (now, damping) = (cost, (damping * RELAX).max(1e-12));

@@ -46,7 +46,8 @@ impl BlockMatrix {
                 neighbours[*row].insert(column);
             }
         }
-        let mut waiting: BTreeSet<(usize, usize)> = (0..neighbours.len()).map(|at| (neighbours[at].len(), at)).collect();
+        let mut waiting: BTreeSet<(usize, usize)> =
+            (0..neighbours.len()).map(|at| (neighbours[at].len(), at)).collect();
         let mut order = Vec::with_capacity(neighbours.len());
         while let Some((_, next)) = waiting.pop_first() {
             order.push(next);

@@ -45,7 +45,10 @@ fn laps() -> Vec<Isometry3<f64>> {
     let on_circle = |at: usize| {
         let angle = std::f64::consts::TAU * at as f64 / 40.0;
         let (sin, cos) = libm::sincos(angle);
-        pose([40.0 * cos, 40.0 * sin, 0.1 * sin], [0.0, 0.0, angle % std::f64::consts::TAU])
+        pose(
+            [40.0 * cos, 40.0 * sin, 0.1 * sin],
+            [0.0, 0.0, angle % std::f64::consts::TAU],
+        )
     };
     (0..80).map(on_circle).collect()
 }
@@ -70,12 +73,16 @@ fn drifting(truth: &[Isometry3<f64>]) -> PoseGraph {
 
 fn worst(nodes: &[Isometry3<f64>], truth: &[Isometry3<f64>]) -> [f64; 2] {
     let each = nodes.iter().zip(truth).map(|(a, b)| off(a, b));
-    each.fold([0.0; 2], |most, [place, turn]| [f64::max(most[0], place), f64::max(most[1], turn)])
+    each.fold([0.0; 2], |most, [place, turn]| {
+        [f64::max(most[0], place), f64::max(most[1], turn)]
+    })
 }
 
 #[test]
 fn a_chain_and_a_shorter_loop_share_the_difference() {
-    let straight: Vec<_> = (0..=10).map(|x| pose([1.04 * f64::from(x), 0.0, 0.0], [0.0; 3])).collect();
+    let straight: Vec<_> = (0..=10)
+        .map(|x| pose([1.04 * f64::from(x), 0.0, 0.0], [0.0; 3]))
+        .collect();
     let mut graph = PoseGraph {
         nodes: straight.clone(),
         edges: (1..=10).map(|at| edge(&straight, at - 1, at, None)).collect(),
@@ -86,7 +93,10 @@ fn a_chain_and_a_shorter_loop_share_the_difference() {
     shorter.from_from_to = pose([10.0, 0.0, 0.0], [0.0; 3]);
     graph.edges.push(shorter);
     let solution = graph.solve(&SolverSettings::default()).unwrap();
-    assert!(solution.converged && solution.cost[1] < solution.cost[0], "{solution:?}");
+    assert!(
+        solution.converged && solution.cost[1] < solution.cost[0],
+        "{solution:?}"
+    );
     // 10 (D/10 − 1.04)² + (D − 10)² is smallest at D = 11.04 / 1.1.
     let found = graph.nodes[10].translation.x;
     assert!((found - 11.04 / 1.1).abs() < 1e-4, "{found}");
@@ -110,14 +120,11 @@ fn loops_take_the_drift_out_and_a_wrong_one_is_let_go() {
         ..edge(&truth, 10, 70, Some(3.0))
     });
     let solution = graph.solve(&SolverSettings::default()).unwrap();
-    let [wrong, right @ ..] = {
-        let mut weights = solution.edge_weights[79..].to_vec();
-        weights.reverse();
-        weights
-    }[..] else {
-        panic!("no loops");
-    };
-    assert!(wrong < 1e-3 && right.iter().all(|weight| *weight > 0.5), "{wrong} {right:?}");
+    let (wrong, right) = solution.edge_weights[79..].split_last().unwrap();
+    assert!(
+        *wrong < 1e-3 && right.iter().all(|weight| *weight > 0.5),
+        "{wrong} {right:?}"
+    );
     let left = worst(&graph.nodes, &truth);
     assert!(left[0] < 0.7 && left[0] < 0.3 * drift[0], "{drift:?} {left:?}");
     // Where it was before it is again.

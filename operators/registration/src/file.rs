@@ -79,7 +79,11 @@ fn encode(info: &MapInfo, records: &[[u8; BYTES]]) -> Vec<u8> {
     bytes.extend(info.span.into_iter().flat_map(i64::to_le_bytes));
     bytes.extend(info.left_out.to_le_bytes());
     let closure = info.closure.unwrap_or_default();
-    bytes.extend([closure.keyframes, closure.loops].into_iter().flat_map(u64::to_le_bytes));
+    bytes.extend(
+        [closure.keyframes, closure.loops]
+            .into_iter()
+            .flat_map(u64::to_le_bytes),
+    );
     let residuals = closure.residuals_m.into_iter().chain(closure.residuals_rad);
     bytes.extend(residuals.flat_map(f64::to_le_bytes));
     bytes.extend(records.as_flattened());

@@ -292,7 +292,8 @@ impl Registrar {
             };
             progress.sums = sums(stage.map, &placed, sample, &kernel);
             progress.iterations += 1;
-            let Some(observed) = Observed::new(&progress.sums, self.settings.degenerate_share, self.settings.is_level) else {
+            let Some(observed) = Observed::new(&progress.sums, self.settings.degenerate_share, self.settings.is_level)
+            else {
                 return;
             };
             let step = limited(observed.step, stage.map.info().voxel_m);

@@ -51,11 +51,20 @@ impl Block {
             let far = number(37.0, 44.0);
             let (sin, cos) = libm::sincos(angle);
             let half = [number(2.0, 5.0), number(2.0, 4.0)];
-            houses.push(House([far * cos, far * sin], half, number(3.0, 9.0), angle + number(-0.4, 0.4)));
+            houses.push(House(
+                [far * cos, far * sin],
+                half,
+                number(3.0, 9.0),
+                angle + number(-0.4, 0.4),
+            ));
         }
         for _ in 0..14 {
             let angle = number(0.0, 6.2);
-            let far = if number(0.0, 1.0) < 0.5 { number(17.0, 20.0) } else { number(30.0, 32.0) };
+            let far = if number(0.0, 1.0) < 0.5 {
+                number(17.0, 20.0)
+            } else {
+                number(30.0, 32.0)
+            };
             let (sin, cos) = libm::sincos(angle);
             houses.push(House([far * cos, far * sin], [0.2, 0.2], 5.0, 0.4));
         }
@@ -73,7 +82,11 @@ impl Block {
                 let ray = Vector3::new(cos, sin, slope);
                 let direction = pose.rotation * ray;
                 let ground = if slope < 0.0 { -from.z / slope } else { f64::INFINITY };
-                let hit = self.0.iter().filter_map(|house| house.enters(&from, &direction)).fold(ground, f64::min);
+                let hit = self
+                    .0
+                    .iter()
+                    .filter_map(|house| house.enters(&from, &direction))
+                    .fold(ground, f64::min);
                 if hit < 70.0 {
                     let noise = 1.0 + (draw.below(1000) as f64 * 1e-3 - 0.5) * 0.06 / hit;
                     let point = ray * (hit * noise) + Vector3::new(0.0, 0.0, 1.9);

@@ -153,7 +153,9 @@ fn agents_of(args: &Args, log: &Log) -> Result<Vec<String>> {
 /// The agents of each log with the poses that it has.
 fn posed(logs: &[Log], agents: &[Vec<String>], stream: Stream) -> Result<Vec<BTreeMap<String, Agent>>, LogError> {
     let of = |(log, agents): (&Log, &Vec<String>)| {
-        let known = agents.iter().map(|agent| Ok((agent.clone(), Agent::of(log, agent, stream)?)));
+        let known = agents
+            .iter()
+            .map(|agent| Ok((agent.clone(), Agent::of(log, agent, stream)?)));
         known.collect()
     };
     logs.iter().zip(agents).map(of).collect()

@@ -60,7 +60,10 @@ impl Estimated {
 /// Finds the poses of all vehicles among the agents of logs.
 pub fn estimate(logs: &[Log], agents: &[Vec<String>], voxel_m: f64) -> Result<Estimated> {
     let vehicles = vehicles(logs, agents)?;
-    let sweeps = vehicles.iter().map(|(log, agent)| logs[*log].count(agent, Stream::Points)).sum::<u64>();
+    let sweeps = vehicles
+        .iter()
+        .map(|(log, agent)| logs[*log].count(agent, Stream::Points))
+        .sum::<u64>();
     let progress = Progress::new("following the drives", "sweeps", Some(sweeps as f64));
     let mut driven = Vec::new();
     for (log, agent) in vehicles {
@@ -70,7 +73,11 @@ pub fn estimate(logs: &[Log], agents: &[Vec<String>], voxel_m: f64) -> Result<Es
     let drives: Vec<Drive> = driven.iter().map(|driven| driven.drive.clone()).collect();
     let found = solve(&drives, voxel_m)?;
     let mut posed: Vec<BTreeMap<String, Agent>> = logs.iter().map(|_| BTreeMap::new()).collect();
-    for (of, mapped) in driven.iter().zip(&found.drives).filter(|(_, mapped)| mapped.keyframes > 0) {
+    for (of, mapped) in driven
+        .iter()
+        .zip(&found.drives)
+        .filter(|(_, mapped)| mapped.keyframes > 0)
+    {
         let agent = Agent::with(&logs[of.log], &of.agent, mapped.track.clone(), mapped.sigmas);
         posed[of.log].insert(of.agent.clone(), agent);
     }
@@ -90,7 +97,9 @@ fn vehicles<'a>(logs: &[Log], agents: &'a [Vec<String>]) -> Result<Vec<(usize, &
         for agent in agents {
             let path = log.path().display();
             if !is_vehicle(log.info().agent(agent)) {
-                eprintln!("realo: {path}: `{agent}` does not drive: its sweeps are left out, for --poses estimated follows vehicles");
+                eprintln!(
+                    "realo: {path}: `{agent}` does not drive: its sweeps are left out, for --poses estimated follows vehicles"
+                );
             } else if log.has(agent, Stream::Imu) {
                 vehicles.push((number, agent.as_str()));
             } else {
@@ -103,7 +112,9 @@ fn vehicles<'a>(logs: &[Log], agents: &'a [Vec<String>]) -> Result<Vec<(usize, &
         }
     }
     match vehicles.is_empty() {
-        true => bail!("--poses estimated: expected a vehicle with sweeps and motion sensors, found none; `realo info` lists agents"),
+        true => bail!(
+            "--poses estimated: expected a vehicle with sweeps and motion sensors, found none; `realo info` lists agents"
+        ),
         false => Ok(vehicles),
     }
 }
@@ -145,7 +156,9 @@ fn follow(logs: &[Log], number: usize, agent: &str, voxel_m: f64, progress: &Pro
         unusable,
         has_fixes,
         leans: levelled_while_played(log)?.contains_key(agent),
-        truth: truth.then(|| pose_track(log, agent, Stream::PoseTruth, MAX_GAP)).transpose()?,
+        truth: truth
+            .then(|| pose_track(log, agent, Stream::PoseTruth, MAX_GAP))
+            .transpose()?,
     })
 }
 

@@ -11,7 +11,12 @@ const FEW: f64 = 0.01;
 
 /// Prints poses and errors to standard output, and what is wrong to standard error.
 pub fn print(estimated: &Estimated) {
-    let Estimated { driven, mapped, summary, .. } = estimated;
+    let Estimated {
+        driven,
+        mapped,
+        summary,
+        ..
+    } = estimated;
     for (of, mapped) in driven.iter().zip(mapped) {
         for words in faults(of, mapped, summary.is_anchored) {
             eprintln!("realo: {}: {words}", of.name);
@@ -36,7 +41,11 @@ pub fn print(estimated: &Estimated) {
         println!("  errors of {} poses at sweeps: mean / 95 % / max", after.poses);
         for (what, errors) in [("before loops were closed", before), ("after", after)] {
             println!("    {what}: {}", in_words(&errors.absolute));
-            println!("    {what}, aligned as a whole: {}{}", in_words(&errors.aligned), moved(errors));
+            println!(
+                "    {what}, aligned as a whole: {}{}",
+                in_words(&errors.aligned),
+                moved(errors)
+            );
         }
     }
 }
@@ -58,7 +67,8 @@ fn faults(of: &Driven, mapped: &MappedDrive, is_anchored: bool) -> Vec<String> {
         words.push(if of.drive.pieces.is_empty() {
             "left out, for no sweep could be followed".into()
         } else if is_anchored {
-            "left out, for no position of GNSS says where it is, and loops are looked for only where poses are known".into()
+            "left out, for no position of GNSS says where it is, and loops are looked for only where poses are known"
+                .into()
         } else {
             "left out, for no position of GNSS says how the drives are to each other".to_string()
         });
@@ -74,7 +84,10 @@ fn faults(of: &Driven, mapped: &MappedDrive, is_anchored: bool) -> Vec<String> {
         words.push("its way is too short for GNSS to tell its heading".into());
     }
     if !of.has_fixes {
-        words.push(format!("expected positions of GNSS on /{}/fix, found no such topic", of.agent));
+        words.push(format!(
+            "expected positions of GNSS on /{}/fix, found no such topic",
+            of.agent
+        ));
     }
     let [anchors, doubtful] = mapped.anchors;
     if doubtful as f64 > MANY * anchors as f64 {
@@ -100,16 +113,26 @@ fn faults(of: &Driven, mapped: &MappedDrive, is_anchored: bool) -> Vec<String> {
 fn of_sensors(of: &Driven) -> Vec<String> {
     let mut words = Vec::new();
     if let Some((count, reason)) = &of.unusable {
-        words.push(format!("{count} messages of motion sensors cannot be used; the first: {reason}"));
+        words.push(format!(
+            "{count} messages of motion sensors cannot be used; the first: {reason}"
+        ));
     }
     if of.leans {
-        words.push("its sweeps lean with the vehicle and are taken as level: poses are worse on slopes and in bends".into());
+        words.push(
+            "its sweeps lean with the vehicle and are taken as level: poses are worse on slopes and in bends".into(),
+        );
     }
     let found = &of.drive.fix_faults;
     let counts = [
-        (found.not_finite, "are no numbers, or have variances that are not above 0: not used"),
+        (
+            found.not_finite,
+            "are no numbers, or have variances that are not above 0: not used",
+        ),
         (found.elsewhere, "are more than 100 km from the map's origin: not used"),
-        (found.frozen, "are the same as the one before to the last digit: not used"),
+        (
+            found.frozen,
+            "are the same as the one before to the last digit: not used",
+        ),
         (found.no_height, "have a height of exactly 0: the height is not used"),
     ];
     let counted = counts.into_iter().filter(|(count, _)| *count > 0);
@@ -117,7 +140,10 @@ fn of_sensors(of: &Driven) -> Vec<String> {
     let all = of.drive.counts.imu + of.drive.counts.wheels + of.drive.counts.sweeps;
     for (fault, count, _) in of.drive.faults.seen() {
         if count as f64 > 1e-3 * all as f64 {
-            words.push(format!("`{}` {count} times among IMU, wheels and sweeps (docs/reference/stages.md#localization)", fault.name()));
+            words.push(format!(
+                "`{}` {count} times among IMU, wheels and sweeps (docs/reference/stages.md#localization)",
+                fault.name()
+            ));
         }
     }
     words
@@ -141,14 +167,20 @@ fn of_sweeps(drive: &Drive) -> Vec<String> {
         ));
     }
     if counts.waiting == counts.sweeps && counts.sweeps > 0 {
-        words.push("nothing was known of its motion at any sweep: does the IMU say anything? `realo info` tells".into());
+        words
+            .push("nothing was known of its motion at any sweep: does the IMU say anything? `realo info` tells".into());
     }
     words
 }
 
 /// What is wrong between drives.
 fn joints(estimated: &Estimated) -> Vec<String> {
-    let Estimated { driven, mapped, summary, .. } = estimated;
+    let Estimated {
+        driven,
+        mapped,
+        summary,
+        ..
+    } = estimated;
     let mut words = Vec::new();
     if !summary.is_anchored {
         words.push(
@@ -173,7 +205,9 @@ fn joints(estimated: &Estimated) -> Vec<String> {
     if groups.len() > 1 {
         let names = |group: &usize| {
             let of = placed.iter().filter(|(_, mapped)| mapped.group == *group);
-            of.map(|(driven, _)| driven.name.as_str()).collect::<Vec<_>>().join(", ")
+            of.map(|(driven, _)| driven.name.as_str())
+                .collect::<Vec<_>>()
+                .join(", ")
         };
         let groups: Vec<String> = groups.iter().map(names).collect();
         words.push(format!(
