@@ -21,6 +21,7 @@ static KIND: Kind = Kind {
     name: "opv2v",
     title: "OPV2V's layout, a scene of all agents",
     writes: "AGENT/000000.yaml (pose, boxes) and AGENT/000000.pcd for each sweep",
+    unit: "sweeps",
     options: &[
         ("agents", ""),
         ("classes", ""),
@@ -96,7 +97,7 @@ impl<'a> Writing<'a> {
         let agent = |(agent, folder): (&SceneAgent, &String)| ExportedAgent {
             name: agent.name.clone(),
             place: format!("folder `{folder}`"),
-            height_m: agent.height,
+            height_m: Some(agent.height),
             ..ExportedAgent::default()
         };
         Writing {
