@@ -4,13 +4,11 @@ mod common;
 
 use std::ffi::OsString;
 use std::fs;
+use std::path::Path;
 
 use common::{counts, folder, lab_ok, realo_ok, run_virtual, simulated};
 
 const AGENTS: [(&str, &str); 2] = [("cav1", "vehicle"), ("rsu1", "roadside")];
-
-/// The outline in which both vehicles of the test below have theirs, as the export of their log says it.
-const OUTLINE: &str = "-1.617,2.617,-0.904,0.904";
 
 /// A map file for a log of realo, which is an MCAP file as those of others are.
 fn map(with_truth: bool) -> String {
@@ -91,46 +89,27 @@ fn a_scene_that_was_exported_and_imported_scores_as_its_log() {
         &["--seconds", "2", "--agents", "cav1,cav2,rsu1", "--seed", "913"],
     );
     let dir = folder("round_trip_files");
-    let (scene, back) = (dir.join("2026_01_01_00_00_00"), dir.join("back.mcap"));
-    let export = ["export", "opv2v"].map(OsString::from);
-    lab_ok(
-        export
-            .into_iter()
-            .chain([log.clone().into(), "-o".into(), scene.clone().into()]),
-    );
+    let (scene, back) = (dir.join("scene"), dir.join("back.mcap"));
+    let command = |words: &[&str], from: &Path, to: &Path| {
+        let words = words.iter().map(OsString::from);
+        lab_ok(words.chain([from.into(), "-o".into(), to.into()]));
+    };
+    // Times of points and all poses: each run removes the motion during sweeps itself.
+    command(&["export", "opv2v", "--motion", "kept"], &log, &scene);
     let words = fs::read_to_string(scene.join("realo_export.json")).expect("the export says what it is");
     assert!(words.contains("opv2v"), "{words}");
-    let import = ["import", "opv2v"].map(OsString::from);
-    let outline = ["--footprint", OUTLINE].map(OsString::from);
-    lab_ok(
-        import
-            .into_iter()
-            .chain([scene.into(), "-o".into(), back.clone().into()])
-            .chain(outline),
-    );
+    command(&["import", "opv2v"], &scene, &back);
     for graph in ["late_fusion", "no_fusion"] {
-        let before = run_virtual(&format!("round_trip_{graph}"), graph, &log, &["--offline"]);
-        let after = run_virtual(&format!("round_trip_{graph}_back"), graph, &back, &["--offline"]);
-        for key in ["total", "processed", "key"] {
-            assert_eq!(after["frames"][key], before["frames"][key], "{graph}: {key}");
+        // Heights over the LiDAR are rounded once more; what that changes is the same on every machine.
+        let args = ["--offline", "--isa", "portable"];
+        let before = run_virtual(&format!("round_trip_{graph}"), graph, &log, &args);
+        let after = run_virtual(&format!("round_trip_{graph}_back"), graph, &back, &args);
+        for protocol in ["sorted", "v2x-real"] {
+            let map = &before["accuracy"][protocol]["mAP"]["0.5"];
+            assert!(map.as_f64() > Some(0.3), "{graph}: {protocol}: {map}");
         }
-        // Truth, key frames and points on objects are the same. Of scores a few detections are in another order.
-        for class in ["vehicle", "pedestrian", "truck"] {
-            for iou in ["0.3", "0.5"] {
-                let [(found, _, of), (again, _, of_again)] = [&before, &after].map(|result| counts(result, class, iou));
-                assert_eq!(of_again, of, "{graph}: {class}");
-                assert!(
-                    found.abs_diff(again) <= 1,
-                    "{graph}: {class}: {found} and {again} of {of}"
-                );
-            }
+        for key in ["frames", "accuracy"] {
+            assert_eq!(after[key], before[key], "{graph}: {key}");
         }
-        let map = |result: &serde_json::Value| result["accuracy"]["sorted"]["mAP"]["0.5"].as_f64().expect("an mAP");
-        assert!(
-            (map(&before) - map(&after)).abs() < 0.005,
-            "{graph}: {} and {}",
-            map(&before),
-            map(&after)
-        );
     }
 }

@@ -5,6 +5,8 @@ mod build;
 mod common;
 #[path = "plugins/guide.rs"]
 mod guide;
+#[path = "plugins/live.rs"]
+mod live;
 #[path = "plugins/maps.rs"]
 mod maps;
 #[path = "plugins/python.rs"]

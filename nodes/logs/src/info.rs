@@ -290,7 +290,11 @@ pub(crate) fn check_agents(agents: &[AgentInfo]) -> Result<(), String> {
 /// Names are parts of topics, folders and frames, and stand in arguments.
 const LONGEST_NAME: usize = 64;
 
-pub(crate) fn check_name(name: &str) -> Result<(), String> {
+/// Whether a name can be an agent's.
+///
+/// # Errors
+/// What was expected and found.
+pub fn check_name(name: &str) -> Result<(), String> {
     let inside = |c: char| c.is_ascii_alphanumeric() || matches!(c, '_' | '-' | '.');
     let starts = name.starts_with(|c: char| c.is_ascii_alphanumeric() || c == '_');
     let taken = ["tf", "tf_static"].contains(&name);

@@ -53,6 +53,7 @@ mod mcap_writer;
 mod merge;
 pub mod motion;
 mod motion_faults;
+pub mod objects;
 pub mod outline;
 mod owner;
 pub mod packets;
@@ -82,7 +83,9 @@ pub use findings::{SWEEPS_OF_TWO_TOPICS, UNDECLARED, WRONG_COVARIANCES, sweeps_o
 pub use frames::{Frames, NoWay, Way, bare};
 pub use gaps::{Bare, Gaps, Lack, Missing, SWEEPS_MISSING, SWEEPS_WITHOUT_DETECTIONS};
 pub use geodesy::MapOrigin;
-pub use info::{AgentInfo, AgentKind, ClockError, LOG_RECORD, Levelled, LogInfo, program};
+pub use info::{
+    AgentInfo, AgentKind, ClockError, LOG_RECORD, Levelled, LogInfo, check_name as check_agent_name, program,
+};
 pub use level::{Attitude, Attitudes, LEVEL, level_state, levelled_while_played, need_level};
 pub use log::{Entry, Log, LogReader};
 pub use log_writer::{ANTENNA_FRAME, AXLE_FRAME, IMU_FRAME, LogWriter, sensor_frame};

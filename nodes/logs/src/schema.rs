@@ -35,6 +35,8 @@ pub enum Schema {
     SentPacket,
     /// Boxes for Foxglove's viewers, while a run goes on; not in logs.
     SceneUpdate,
+    /// Boxes for Autoware; not in logs.
+    DetectedObjects,
 }
 
 impl Schema {
@@ -107,6 +109,7 @@ impl Schema {
             Schema::PacketInfo => "realo_msgs/PacketInfo",
             Schema::SentPacket => "realo_msgs/SentPacket",
             Schema::SceneUpdate => "foxglove_msgs/SceneUpdate",
+            Schema::DetectedObjects => "autoware_perception_msgs/DetectedObjects",
         }
     }
 }
@@ -294,6 +297,33 @@ const DEFINITIONS: &[(&str, &str)] = &[
          string kind\nuint64 seq\n\
          # Codecs, first applied first.\n\
          string[] codec\nuint8[] data\n",
+    ),
+    ("geometry_msgs/Point32", "float32 x\nfloat32 y\nfloat32 z\n"),
+    ("geometry_msgs/Polygon", "geometry_msgs/Point32[] points\n"),
+    (
+        "autoware_perception_msgs/ObjectClassification",
+        "uint8 UNKNOWN=0\nuint8 CAR=1\nuint8 TRUCK=2\nuint8 BUS=3\nuint8 TRAILER=4\nuint8 MOTORCYCLE=5\nuint8 BICYCLE=6\n\
+         uint8 PEDESTRIAN=7\nuint8 label\nfloat32 probability\n",
+    ),
+    (
+        "autoware_perception_msgs/DetectedObjectKinematics",
+        "uint8 UNAVAILABLE=0\nuint8 SIGN_UNKNOWN=1\nuint8 AVAILABLE=2\n\
+         geometry_msgs/PoseWithCovariance pose_with_covariance\nbool has_position_covariance\nuint8 orientation_availability\n\
+         geometry_msgs/TwistWithCovariance twist_with_covariance\nbool has_twist\nbool has_twist_covariance\n",
+    ),
+    (
+        "autoware_perception_msgs/Shape",
+        "uint8 BOUNDING_BOX=0\nuint8 CYLINDER=1\nuint8 POLYGON=2\nuint8 type\ngeometry_msgs/Polygon footprint\n\
+         geometry_msgs/Vector3 dimensions\n",
+    ),
+    (
+        "autoware_perception_msgs/DetectedObject",
+        "float32 existence_probability\nautoware_perception_msgs/ObjectClassification[] classification\n\
+         autoware_perception_msgs/DetectedObjectKinematics kinematics\nautoware_perception_msgs/Shape shape\n",
+    ),
+    (
+        "autoware_perception_msgs/DetectedObjects",
+        "std_msgs/Header header\nautoware_perception_msgs/DetectedObject[] objects\n",
     ),
     (
         "foxglove_msgs/SceneUpdate",

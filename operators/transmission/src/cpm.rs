@@ -13,9 +13,11 @@ use c_its_parser::standards::cpm_2_1_1::cpm_pdu_descriptions::CollectivePercepti
 use realo_schemas::{Header, Kind, Message, Name, Nanos, Packet};
 
 use crate::DecodeError;
+pub use clock::timestamp_of;
 pub(crate) use reader::Parser;
 pub use reader::Unused;
 pub use realo_geodesy::{Geodetic, NoOrigin};
+pub use station::station_of;
 pub(crate) use writer::Writer;
 
 /// The codec of a packet whose bytes are a CPM, which stands alone in [`Packet::codec`].

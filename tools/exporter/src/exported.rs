@@ -31,8 +31,8 @@ pub struct ExportedAgent {
     pub name: String,
     /// Where it is in the folder, in words.
     pub place: String,
-    /// Height of its LiDAR over the ground, m.
-    pub height_m: f64,
+    /// Height of its LiDAR over the ground, m; `None` of a layout without points.
+    pub height_m: Option<f64>,
     /// Sweeps.
     pub sweeps: usize,
     /// Points of all sweeps.
@@ -54,8 +54,13 @@ impl fmt::Display for Exported {
                 points,
                 boxes,
             } = agent;
-            let kept = format!("{sweeps} sweeps, {points} points, {boxes} boxes");
-            writeln!(f, "  {name}: {place}, {kept}, LiDAR {height_m:.2} m over the ground")?;
+            match height_m {
+                Some(height) => writeln!(
+                    f,
+                    "  {name}: {place}, {sweeps} sweeps, {points} points, {boxes} boxes, LiDAR {height:.2} m over the ground"
+                )?,
+                None => writeln!(f, "  {name}: {place}, {sweeps} messages, {boxes} boxes")?,
+            }
         }
         let parts = [
             ("assumed", &self.assumed),

@@ -1,12 +1,13 @@
 //! The layouts: one trait, one registry, and the export of a log in one of them.
 
+mod cpm;
 mod kitti;
 mod opv2v;
 mod rosbag2;
 
 use std::path::Path;
 
-use realo_logs::Log;
+use realo_logs::{Log, McapFile};
 
 use crate::{ExportError, Exported, Folder, Options};
 
@@ -18,6 +19,8 @@ pub struct Kind {
     pub title: &'static str,
     /// What of it is written.
     pub writes: &'static str,
+    /// What its progress counts.
+    pub unit: &'static str,
     /// Options that it takes, each with its default, empty where there is none.
     pub options: &'static [(&'static str, &'static str)],
 }
@@ -54,10 +57,28 @@ pub trait Exporter: Sync {
     /// A log that does not have what the layout needs; why writing failed.
     fn write(&self, log: &Log, folder: &mut Folder, options: &Options, report: Report)
     -> Result<Exported, ExportError>;
+
+    /// The same of the recording of a run, where it has what the layout needs.
+    ///
+    /// # Errors
+    /// As [`Exporter::write`]; a layout of logs.
+    fn write_recording(
+        &self,
+        file: &McapFile,
+        _: &mut Folder,
+        _: &Options,
+        _: Report,
+    ) -> Result<Exported, ExportError> {
+        let kind = self.kind().name;
+        let reason = format!(
+            "`{kind}`: expected a log with clouds, found the recording of a run, which has none; export the log that was played"
+        );
+        Err(ExportError::unfit(file.path(), reason))
+    }
 }
 
 /// All kinds.
-pub static KINDS: &[&dyn Exporter] = &[&opv2v::Opv2v, &kitti::Kitti, &rosbag2::Rosbag2];
+pub static KINDS: &[&dyn Exporter] = &[&opv2v::Opv2v, &kitti::Kitti, &rosbag2::Rosbag2, &cpm::Cpm];
 
 /// A kind by its name.
 ///
@@ -95,13 +116,42 @@ pub fn export(
     replace: bool,
     report: Report,
 ) -> Result<Exported, ExportError> {
+    written(exporter, log.path(), output, replace, |folder| {
+        exporter.write(log, folder, options, report)
+    })
+}
+
+/// Writes what the recording of a run has to a folder, as [`export`].
+///
+/// # Errors
+/// As [`export`]; a layout of logs.
+pub fn export_recording(
+    exporter: &dyn Exporter,
+    file: &McapFile,
+    output: &Path,
+    options: &Options,
+    replace: bool,
+    report: Report,
+) -> Result<Exported, ExportError> {
+    written(exporter, file.path(), output, replace, |folder| {
+        exporter.write_recording(file, folder, options, report)
+    })
+}
+
+fn written(
+    exporter: &dyn Exporter,
+    from: &Path,
+    output: &Path,
+    replace: bool,
+    write: impl FnOnce(&mut Folder) -> Result<Exported, ExportError>,
+) -> Result<Exported, ExportError> {
     let mut folder = Folder::create(output, replace)?;
-    let mut exported = exporter.write(log, &mut folder, options, report)?;
+    let mut exported = write(&mut folder)?;
     exported.kind = exporter.kind().name;
     exported.path = output.into();
     exported.bytes = folder.written();
     exported.read_back = exported.read_back.replace("PATH", &output.display().to_string());
-    folder.finish(exported.kind, log.path(), replace)?;
+    folder.finish(exported.kind, from, replace)?;
     Ok(exported)
 }
 

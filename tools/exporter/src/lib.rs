@@ -17,6 +17,6 @@ mod scene;
 pub use error::ExportError;
 pub use exported::{Exported, ExportedAgent};
 pub use folder::{Folder, MANIFEST, check};
-pub use kinds::{Exporter, KINDS, Kind, Report, export, exporter, list};
-pub use options::{LabelSource, OPTIONS, OptionInfo, Options, option_info};
+pub use kinds::{Exporter, KINDS, Kind, Report, export, export_recording, exporter, list};
+pub use options::{BoxSource, LabelSource, OPTIONS, OptionInfo, Options, option_info};
 pub use rrd::{RrdCounts, RrdRequest, export_rrd};

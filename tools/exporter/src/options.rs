@@ -1,5 +1,7 @@
 //! How a log is exported: one table of options for all kinds.
 
+use realo_transmission::cpm::Geodetic;
+
 /// An option of the command line.
 #[derive(Clone, Copy, Debug)]
 pub struct OptionInfo {
@@ -52,6 +54,31 @@ pub const OPTIONS: &[OptionInfo] = &[
         choices: &[],
         help: "Height of all LiDARs over the ground, m [default: what the log says of each, else 1.8]",
     },
+    OptionInfo {
+        name: "boxes",
+        value: "SOURCE",
+        choices: &["detections", "truth", "own", "fused"],
+        help: "Which boxes are written: what each agent detected, all objects, what its own side labelled, or of a run the final boxes \
+               of its ego",
+    },
+    OptionInfo {
+        name: "origin",
+        value: "LAT,LON[,M]",
+        choices: &[],
+        help: "Where the map's origin is on the Earth, degrees and m over the ellipsoid (WGS 84) [default: what the log says]",
+    },
+    OptionInfo {
+        name: "roadside",
+        value: "NAMES",
+        choices: &[],
+        help: "Agents that are roadside units, with commas between, besides those of the log; recordings do not say it",
+    },
+    OptionInfo {
+        name: "unfit",
+        value: "WHAT",
+        choices: &["refuse", "drop"],
+        help: "What becomes of objects that a message has no numbers or no room for",
+    },
 ];
 
 /// An option by its name.
@@ -69,6 +96,32 @@ pub enum LabelSource {
     Own,
 }
 
+/// Which boxes are written.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub enum BoxSource {
+    /// What each agent detected.
+    #[default]
+    Detections,
+    /// All objects.
+    Truth,
+    /// What an agent's own side labelled.
+    Own,
+    /// The final boxes of a run's ego.
+    Fused,
+}
+
+impl BoxSource {
+    /// The part of their topic behind the agent's name.
+    pub fn topic(self) -> &'static str {
+        match self {
+            BoxSource::Detections => "detections",
+            BoxSource::Truth => "ground_truth",
+            BoxSource::Own => "own_labels",
+            BoxSource::Fused => "boxes",
+        }
+    }
+}
+
 /// How a log is exported.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub struct Options {
@@ -82,6 +135,14 @@ pub struct Options {
     pub keeps_motion: bool,
     /// Height of all LiDARs over the ground, m; what the log says of each where `None`.
     pub height_m: Option<f64>,
+    /// Which boxes are written.
+    pub boxes: BoxSource,
+    /// Where the map's origin is on the Earth; what the log says where `None`.
+    pub origin: Option<Geodetic>,
+    /// Agents that are roadside units, besides those of the log.
+    pub roadside: Vec<String>,
+    /// Whether objects that do not fit a message are left out; else they end the export.
+    pub drops_unfit: bool,
 }
 
 /// No LiDAR is higher, m, as importers take it.
@@ -121,15 +182,41 @@ impl Options {
                 let height = text.parse().ok().filter(|height| (0.0..=MOST_HEIGHT).contains(height));
                 self.height_m = Some(height.ok_or_else(|| expected(&format!("0 to {MOST_HEIGHT} m")))?);
             }
+            ("boxes", text) => self.boxes = boxes(text).ok_or_else(|| expected("detections, truth, own or fused"))?,
+            ("origin", text) => {
+                let origin = Geodetic::try_from(text.to_string());
+                let what = "latitude within ±90°, longitude within ±180° and height, as 48.1374,11.5755,519";
+                self.origin = Some(origin.map_err(|_| expected(what))?);
+            }
+            ("roadside", _) => self.roadside = list()?,
+            ("unfit", "refuse") => self.drops_unfit = false,
+            ("unfit", "drop") => self.drops_unfit = true,
+            ("unfit", _) => return Err(expected("refuse or drop")),
             _ => return Err(format!("--{name}: no export has this option")),
         }
         Ok(())
+    }
+
+    /// Whether an agent is wanted.
+    pub(crate) fn wants_agent(&self, name: &str) -> bool {
+        self.agents.is_empty() || self.agents.iter().any(|wanted| wanted == name)
     }
 
     /// Whether objects of a class are wanted.
     pub(crate) fn wants_class(&self, class: &str) -> bool {
         self.classes.is_empty() || self.classes.contains(&class.to_lowercase())
     }
+}
+
+fn boxes(text: &str) -> Option<BoxSource> {
+    use BoxSource::{Detections, Fused, Own, Truth};
+    let named = ["detections", "truth", "own", "fused"]
+        .into_iter()
+        .zip([Detections, Truth, Own, Fused]);
+    named
+        .into_iter()
+        .find(|(name, _)| *name == text)
+        .map(|(_, source)| source)
 }
 
 #[cfg(test)]
@@ -144,6 +231,9 @@ mod tests {
                 "height" => ("1.9", "high"),
                 "labels" => ("own", "all"),
                 "motion" => ("kept", "some"),
+                "boxes" => ("fused", "all"),
+                "origin" => ("48.1374,11.5755,519", "Munich"),
+                "unfit" => ("drop", "keep"),
                 _ => ("cav1", ""),
             };
             options.set(info.name, fine).unwrap();

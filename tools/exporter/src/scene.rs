@@ -51,7 +51,8 @@ pub struct SceneAgent {
     pub own_track: Option<u64>,
     /// The largest tilt of its poses, degrees.
     pub tilt: f64,
-    footprint: [f64; 4],
+    /// Its outline as the log states it.
+    pub stated_footprint: Option<[f64; 4]>,
     has_labels: bool,
     has_info: bool,
 }
@@ -124,7 +125,7 @@ impl SceneAgent {
     /// What importers may take for the agent itself, m: [x min, x max, y min, y max].
     pub fn outline(&self) -> [f64; 4] {
         match self.kind {
-            AgentKind::Vehicle => self.footprint,
+            AgentKind::Vehicle => self.stated_footprint.unwrap_or(NO_FOOTPRINT),
             AgentKind::Roadside => NOTHING,
         }
     }
@@ -155,7 +156,7 @@ impl SceneAgent {
     }
 
     fn is_itself(&self, [x, y, _]: [f64; 3]) -> bool {
-        let [x0, x1, y0, y1] = self.footprint;
+        let [x0, x1, y0, y1] = self.stated_footprint.unwrap_or(NO_FOOTPRINT);
         self.kind == AgentKind::Vehicle && (x0..=x1).contains(&x) && (y0..=y1).contains(&y)
     }
 }
@@ -418,7 +419,7 @@ fn agent(log: &Log, name: &str, options: &Options) -> Result<SceneAgent, ExportE
         track: pose_track(log, name, stream, MAX_GAP)?,
         own_track: None,
         tilt: tilt(log, name, stream)?,
-        footprint: info.and_then(|info| info.footprint).unwrap_or(NO_FOOTPRINT),
+        stated_footprint: info.and_then(|info| info.footprint),
         has_labels: log.has(name, labels),
         has_info: log.has(name, info_of(options.labels)),
     })

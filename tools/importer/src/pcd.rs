@@ -364,7 +364,11 @@ fn columns(fields: &[Field], values: &impl Values) -> Result<Points, String> {
         intensity,
         timestamp,
         t: t.map(|field| values.column(field)),
-        offset_ns: None,
+        offset_ns: match find("offset_ns")? {
+            // Whole numbers of 32 bits are exact in doubles.
+            Some((field, "int32")) => Some(values.column(field).into_iter().map(|ns| ns as i32).collect()),
+            _ => None,
+        },
     })
 }
 

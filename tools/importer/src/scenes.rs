@@ -9,6 +9,7 @@ mod frame;
 mod known;
 mod name;
 mod plan;
+mod poses;
 mod residual;
 mod summary;
 mod truth;
@@ -104,8 +105,8 @@ pub struct RawSweep {
     pub map_from_lidar: Isometry3<f64>,
     /// What that is the pose of in truth, by its key in the file, if not of the LiDAR.
     pub pose_of: Option<&'static str>,
-    /// Height of the LiDAR over the ground, m, where its files say it.
-    pub height: Option<f64>,
+    /// What its files say that most layouts leave open.
+    pub stated: Stated,
     /// In the frame of the LiDAR.
     pub points: Points,
     /// What the agent's side labelled.
@@ -116,6 +117,17 @@ pub struct RawSweep {
     pub view: Option<View>,
     /// Whether the files say that the frame is not scored.
     pub is_unscored: bool,
+}
+
+/// What files of a sweep say that most layouts leave open: it counts before what is assumed.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+pub struct Stated {
+    /// Height of the LiDAR over the ground, m.
+    pub height: Option<f64>,
+    /// Stamp of the sweep, ns since 1970.
+    pub stamp: Option<Nanos>,
+    /// Outline of the agent in its body frame, m: [x min, x max, y min, y max].
+    pub footprint: Option<[f64; 4]>,
 }
 
 /// A labelled object.
@@ -162,6 +174,11 @@ pub trait Layout: Sync {
     /// # Errors
     /// All that is wrong with its files.
     fn sweep(&self, files: &SweepFiles, options: &Options) -> Result<RawSweep, FaultsOfSweep>;
+
+    /// A file beside the labels of an agent that may have all its poses.
+    fn pose_file(&self) -> Option<&'static str> {
+        None
+    }
 
     /// Whether the id of an agent's own object is the name of its folder.
     fn agents_are_objects(&self) -> bool {

@@ -3,11 +3,13 @@
 mod kind;
 mod rrd;
 
+use std::path::Path;
+
 use clap::Subcommand;
 use eyre::Result;
 use realo_cli::{Outcome, Progress, report_left_out, unfinished};
-use realo_exporter::{Options, check, export};
-use realo_logs::Log;
+use realo_exporter::{Exported, Options, check, export, export_recording};
+use realo_logs::{Log, McapFile, RECORDING_RECORD, Truncation};
 
 use self::kind::KindArgs;
 use self::rrd::RrdArgs;
@@ -51,29 +53,40 @@ pub fn main(args: &Args) -> Result<Outcome> {
 
 fn write(args: &KindArgs, options: &Options) -> Result<Outcome> {
     check(&args.output, args.force)?;
-    let log = &Log::open(&args.log)?;
-    report_left_out(log);
-    unfinished::end_with_signals(&args.output);
-    let progress = Progress::new("exporting", "sweeps", Some(0.0));
-    let exported = export(
-        args.exporter,
-        log,
-        &args.output,
-        options,
-        args.force,
-        &mut |done, all| match done {
-            0 => progress.begin(0.0, all as f64),
-            done => progress.set(done as f64),
-        },
-    );
+    let path = rrd::recording_of(&args.log)?;
+    let progress = Progress::new("exporting", args.exporter.kind().unit, Some(0.0));
+    let mut report = |done, all| match done {
+        0 => progress.begin(0.0, all as f64),
+        done => progress.set(done as f64),
+    };
+    let file = McapFile::open(&path)?;
+    let (exported, cut) = match file.metadata().contains_key(RECORDING_RECORD) {
+        true => {
+            unfinished::end_with_signals(&args.output);
+            let exported = export_recording(args.exporter, &file, &args.output, options, args.force, &mut report);
+            (exported, file.truncation().cloned())
+        }
+        false => {
+            let log = &Log::open(&path)?;
+            report_left_out(log);
+            unfinished::end_with_signals(&args.output);
+            let exported = export(args.exporter, log, &args.output, options, args.force, &mut report);
+            (exported, log.truncation().cloned())
+        }
+    };
     progress.finish();
     let exported = exported?;
     unfinished::done(&args.output);
-    let mut outcome = Outcome::Complete;
-    if let Some(cut) = log.truncation() {
-        eprintln!("realo-lab: {}: {cut}", log.path().display());
-        outcome = Outcome::Partial;
+    Ok(said(&path, &exported, cut.as_ref()))
+}
+
+fn said(path: &Path, exported: &Exported, cut: Option<&Truncation>) -> Outcome {
+    if let Some(cut) = cut {
+        eprintln!("realo-lab: {}: {cut}", path.display());
     }
     println!("{exported}");
-    Ok(outcome)
+    match cut {
+        Some(_) => Outcome::Partial,
+        None => Outcome::Complete,
+    }
 }

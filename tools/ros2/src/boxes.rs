@@ -1,13 +1,12 @@
 //! The stage that publishes boxes of a graph.
 
-use realo_logs::{boxes, pose};
+use realo_logs::{boxes, objects, pose};
 use realo_operator::{Counter, Describe, Error, Inputs, NoOutput, Operator, Outputs, Settings};
 use realo_schemas::geometry::transform_boxes;
 use realo_schemas::{Boxes as List, Header, Nanos, Pose};
 use serde::{Deserialize, Serialize};
 
 use crate::names;
-use crate::objects;
 use crate::ros::{self, Delivery, Quality, Ros, Writer};
 
 /// The frame in which boxes are published.

@@ -8,7 +8,6 @@ mod boxes;
 mod counters;
 mod heads;
 mod names;
-mod objects;
 mod queue;
 mod ros;
 mod sensors;

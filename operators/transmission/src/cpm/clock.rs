@@ -18,7 +18,7 @@ const GREATEST: i64 = 4_398_046_511_103;
 const MILLI: Nanos = 1_000_000;
 
 /// The nearest millisecond of a stamp in ns since 1970; `None` before 2004 or after 2143.
-pub(crate) fn timestamp_of(stamp: Nanos) -> Option<u64> {
+pub fn timestamp_of(stamp: Nanos) -> Option<u64> {
     let unix_ms = stamp.checked_add(MILLI / 2)?.div_euclid(MILLI);
     let leaps = LEAPS.iter().filter(|leap| **leap * 1000 <= unix_ms).count() as i64;
     let timestamp = unix_ms - EPOCH * 1000 + leaps * 1000;

@@ -11,7 +11,7 @@ pub(crate) fn agent_of(station: u32) -> Name {
 }
 
 /// `station-4711` has the `StationId` 4711; that of any other name is its 32-bit FNV-1a hash, the same everywhere.
-pub(crate) fn station_of(agent: &str) -> u32 {
+pub fn station_of(agent: &str) -> u32 {
     let reported = agent.strip_prefix(STATION).and_then(|number| number.parse().ok());
     // `station-007` and `station-+7` are names as any other.
     let reported = reported.filter(|station| *agent_of(*station) == *agent);

@@ -19,6 +19,7 @@ static KIND: Kind = Kind {
     name: "kitti",
     title: "KITTI's layout, one agent",
     writes: "velodyne/000000.bin, label_2/000000.txt and calib/000000.txt for each sweep, poses.txt and times.txt",
+    unit: "sweeps",
     options: &[("agent", ""), ("classes", ""), ("labels", "truth"), ("height", "")],
 };
 
@@ -48,7 +49,7 @@ impl Exporter for Kitti {
             summary: ExportedAgent {
                 name: scene.agents[0].name.clone(),
                 place: "velodyne".into(),
-                height_m: scene.agents[0].height,
+                height_m: Some(scene.agents[0].height),
                 ..ExportedAgent::default()
             },
             first: None,
@@ -129,7 +130,7 @@ impl Writing<'_> {
         ];
         lines.push(lost::SCORED.into());
         lines.extend(lost::of_frames(scene));
-        let height = number(summary.height_m);
+        let height = number(scene.agents[0].height);
         let footprint = lost::footprint(scene.agents.iter()).unwrap_or_default();
         Exported {
             read_back: format!("realo-lab import kitti PATH -o LOG.mcap --height {height}{footprint}"),

@@ -2,6 +2,7 @@
 
 mod cloud;
 mod labels;
+mod poses;
 
 use std::collections::{BTreeMap, BTreeSet};
 
@@ -20,7 +21,8 @@ pub struct Opv2v;
 static KIND: Kind = Kind {
     name: "opv2v",
     title: "OPV2V's layout, a scene of all agents",
-    writes: "AGENT/000000.yaml (pose, boxes) and AGENT/000000.pcd for each sweep",
+    writes: "AGENT/000000.yaml (pose, boxes) and AGENT/000000.pcd for each sweep, and AGENT/poses.csv for the import",
+    unit: "sweeps",
     options: &[
         ("agents", ""),
         ("classes", ""),
@@ -29,6 +31,9 @@ static KIND: Kind = Kind {
         ("height", ""),
     ],
 };
+
+/// Where what the layout has no place for is nevertheless.
+const ASIDE: &str = "there for `realo-lab import`, other readers skip it";
 
 impl Exporter for Opv2v {
     fn kind(&self) -> &'static Kind {
@@ -47,6 +52,7 @@ impl Exporter for Opv2v {
         let mut writing = Writing::new(&scene, folders);
         let left_out = scene.each_sweep(report, |sweep| writing.sweep(folder, &sweep))?;
         writing.need_any()?;
+        writing.poses(folder)?;
         let mut exported = writing.exported();
         exported.left_out.splice(0..0, left_out.lines(options.labels));
         Ok(exported)
@@ -96,7 +102,7 @@ impl<'a> Writing<'a> {
         let agent = |(agent, folder): (&SceneAgent, &String)| ExportedAgent {
             name: agent.name.clone(),
             place: format!("folder `{folder}`"),
-            height_m: agent.height,
+            height_m: Some(agent.height),
             ..ExportedAgent::default()
         };
         Writing {
@@ -123,7 +129,7 @@ impl<'a> Writing<'a> {
     }
 
     fn sweep(&mut self, folder: &mut Folder, sweep: &Sweep) -> Result<(), ExportError> {
-        let Writing { scene, .. } = self;
+        let scene = self.scene;
         let agent = &scene.agents[sweep.agent];
         let number = scene.frame_of(sweep.stamp).max(self.next[sweep.agent]);
         self.next[sweep.agent] = number + 1;
@@ -132,15 +138,24 @@ impl<'a> Writing<'a> {
         self.apart = self.apart.max((sweep.stamp - of_frame).abs());
         let ids = self.ids.of(number, sweep);
         let cloud = self.cloud(sweep);
+        let times = scene.options.keeps_motion.then_some(&*cloud.time);
         let file = |end: &str| format!("{}/{number:06}.{end}", self.folders[sweep.agent]);
         folder.write(&file("yaml"), yaml(agent, sweep, &ids).as_bytes())?;
-        folder.write(&file("pcd"), &pcd(&agent.in_lidar(&cloud), &cloud.intensity))?;
+        folder.write(&file("pcd"), &pcd(&agent.in_lidar(&cloud), &cloud.intensity, times))?;
         let speeds = sweep.boxes.iter().filter_map(speed);
         self.aside = speeds.fold(self.aside, |most, (_, aside)| most.max(aside));
         let summary = &mut self.agents[sweep.agent];
         summary.sweeps += 1;
         summary.points += sweep.cloud.len();
         summary.boxes += sweep.boxes.len();
+        Ok(())
+    }
+
+    fn poses(&self, folder: &mut Folder) -> Result<(), ExportError> {
+        for (agent, place) in self.scene.agents.iter().zip(&self.folders) {
+            let table = poses::table(self.scene.log, &agent.name)?;
+            folder.write(&format!("{place}/{}", poses::FILE), table.as_bytes())?;
+        }
         Ok(())
     }
 
@@ -173,14 +188,13 @@ impl<'a> Writing<'a> {
             .map(|(name, folder)| format!("{name} is `{folder}`"))
             .collect();
         let mut lines = vec![
-            format!("names of agents: {}", names.join(", ")),
+            format!("names of agents: {} ({ASIDE})", names.join(", ")),
             format!(
-                "stamps: frame 0 is at {} ns, and sweeps are up to {:.3} ms from their frames; read back, frame 0 is at the date in \
-                 the scene's name",
+                "stamps: frame 0 is at {} ns, and sweeps are up to {:.3} ms from their frames ({ASIDE})",
                 scene.first,
                 self.apart as f64 / 1e6
             ),
-            "outlines of vehicles and words about sensors".into(),
+            format!("outlines of vehicles ({ASIDE}), and words about sensors"),
         ];
         if self.aside > 0.0 {
             lines.push(format!("velocities beside the heading, up to {:.2} m/s", self.aside));
@@ -197,9 +211,18 @@ impl<'a> Writing<'a> {
                 "the points of {sweeps} sweeps are as they were measured: the log has no poses over the whole of those sweeps"
             ));
         }
-        lines.extend(lost::of_frames(scene));
+        let is_aside = |line: &str| {
+            let times = scene.options.keeps_motion && line.starts_with("times and rings");
+            times || line.starts_with("poses ")
+        };
+        let aside = |line: String| match is_aside(&line) {
+            true => format!("{line} (times and poses: {ASIDE})"),
+            false => line,
+        };
+        lines.extend(lost::of_frames(scene).into_iter().map(aside));
         let mut command = "realo-lab import opv2v PATH -o LOG.mcap".to_string();
-        let vehicles = scene.agents.iter().filter(|agent| agent.kind == AgentKind::Vehicle);
+        let is_open = |agent: &&SceneAgent| agent.kind == AgentKind::Vehicle && agent.stated_footprint.is_none();
+        let vehicles = scene.agents.iter().filter(is_open);
         command += &lost::footprint(vehicles).unwrap_or_default();
         if (rate - 10.0).abs() > 0.005 {
             command += &format!(" --rate {rate:.3}");

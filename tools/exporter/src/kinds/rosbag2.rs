@@ -5,8 +5,8 @@ mod metadata;
 use std::collections::BTreeMap;
 
 use realo_logs::{
-    AgentKind, ChannelId, ChunkGroup, Entry, Failure, Log, LogError, McapWriter, Schema, Stream, boxes, cloud, pose,
-    program,
+    AgentKind, ChannelId, ChunkGroup, Entry, Failure, Log, LogError, McapWriter, Schema, Stream, boxes, cloud, objects,
+    pose, program,
 };
 use realo_schemas::{AgentState, Boxes, Nanos, body_frame};
 
@@ -21,7 +21,8 @@ pub struct Rosbag2;
 static KIND: Kind = Kind {
     name: "rosbag2",
     title: "A bag of ROS 2 in MCAP",
-    writes: "metadata.yaml and bag_0.mcap: /AGENT/points, pose, objects and markers, and /tf; map.yml for its import",
+    writes: "metadata.yaml and bag_0.mcap: /AGENT/points, pose, objects, detected_objects and markers, and /tf; map.yml for its import",
+    unit: "sweeps",
     options: &[("agents", "")],
 };
 
@@ -117,7 +118,7 @@ fn agents<'a>(log: &'a Log, options: &'a Options) -> Result<Vec<BagAgent<'a>>, E
             summary: ExportedAgent {
                 name: name.into(),
                 place: format!("topics `/{name}/…`"),
-                height_m: info.sensor_position.map_or(0.0, |[.., z]| z),
+                height_m: Some(info.sensor_position.map_or(0.0, |[.., z]| z)),
                 ..ExportedAgent::default()
             },
         });
@@ -288,16 +289,19 @@ impl Bag<'_> {
     }
 
     fn objects(&mut self, index: usize, entry: &Entry) -> Result<(), Stopped> {
-        let objects = std::mem::take(&mut self.boxes[index]).0;
+        let boxes = std::mem::take(&mut self.boxes[index]).0;
         let (stamp, frame) = (entry.stamp(), body_frame(&entry.agent));
-        self.agents[index].boxes += objects.len();
-        self.velocities |= objects.iter().any(|object| object.velocity.is_some());
+        self.agents[index].boxes += boxes.len();
+        self.velocities |= boxes.iter().any(|object| object.velocity.is_some());
         let topic = |end: &str| format!("/{}/{end}", entry.agent);
         self.put(topic("objects"), Schema::Detection3DArray, entry, |out| {
-            boxes::encode(out, stamp, &frame, &objects);
+            boxes::encode(out, stamp, &frame, &boxes);
         })?;
         self.put(topic("markers"), Schema::MarkerArray, entry, |out| {
-            boxes::encode_markers(out, stamp, &frame, "objects", &objects);
+            boxes::encode_markers(out, stamp, &frame, "objects", &boxes);
+        })?;
+        self.put(topic("detected_objects"), Schema::DetectedObjects, entry, |out| {
+            objects::encode(out, stamp, &frame, &boxes);
         })?;
         Ok(())
     }
@@ -315,7 +319,7 @@ fn lost(log: &Log, agents: &[BagAgent], velocities: bool) -> Vec<String> {
     let all = [
         (
             velocities,
-            "velocities of objects: read back, they come from the tracks where the import estimates them",
+            "velocities of objects in `objects`: they are in `detected_objects`, which the import does not read",
         ),
         (
             has(Stream::GroundTruth),

@@ -1,6 +1,7 @@
 //! Simulated logs, written in each layout, imported again, and compared message by message.
 
 mod bad_input;
+mod cpm;
 mod kitti;
 mod opv2v;
 mod reading;

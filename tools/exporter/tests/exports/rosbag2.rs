@@ -1,8 +1,10 @@
 //! A bag of ROS 2: points, poses and boxes come back by its own map file.
 
 use std::fs;
+use std::path::Path;
 
-use realo_logs::Log;
+use realo_logs::cdr::CdrReader;
+use realo_logs::{Log, McapFile, Schema};
 
 use crate::reading::{assert_same_boxes, assert_same_clouds, assert_same_poses, import, sweeps, try_export};
 use crate::world::{AGENTS, MadeUp, SWEEPS, simulated};
@@ -38,8 +40,39 @@ fn a_simulated_log_comes_back_with_its_names_and_stamps() {
         "storage_identifier: mcap",
         "name: /cav1/objects",
         "type: visualization_msgs/msg/MarkerArray",
+        "name: /cav1/detected_objects",
+        "type: autoware_perception_msgs/msg/DetectedObjects",
     ] {
         assert!(metadata.contains(line), "{line} is not in\n{metadata}");
+    }
+    objects_of_autoware_are_those_of_detections(&out.join("bag_0.mcap"));
+}
+
+/// Each list of `DetectedObjects` has the header and the number of objects of its `Detection3DArray`, and its schema names what is
+/// nested in it.
+fn objects_of_autoware_are_those_of_detections(bag: &Path) {
+    let file = McapFile::open(bag).unwrap();
+    let of = |topic: &str| {
+        let channel = file.channels().iter().find(|(_, channel)| channel.topic == topic);
+        let mut messages = file.messages([*channel.unwrap().0].into(), 0..u64::MAX).unwrap();
+        let mut found = Vec::new();
+        while let Some(raw) = messages.next().unwrap() {
+            let mut input = CdrReader::new(raw.data()).unwrap();
+            let (stamp, frame) = input.header().unwrap();
+            found.push((stamp, frame.to_string(), input.u32().unwrap()));
+        }
+        found
+    };
+    let (detections, objects) = (of("/cav1/objects"), of("/cav1/detected_objects"));
+    assert_eq!((detections.len(), detections[0].2 > 0), (SWEEPS, true));
+    assert_eq!(detections, objects);
+    let text = Schema::DetectedObjects.text();
+    for nested in [
+        "autoware_perception_msgs/Shape",
+        "geometry_msgs/Point32",
+        "geometry_msgs/Twist",
+    ] {
+        assert_eq!(text.matches(&format!("MSG: {nested}\n")).count(), 1, "{nested}\n{text}");
     }
 }
 

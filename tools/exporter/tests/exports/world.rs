@@ -92,7 +92,8 @@ fn car() -> AgentInfo {
     }
 }
 
-fn recorded(map_from_body: Isometry3<f64>) -> AgentState {
+/// A pose as a log has it.
+pub fn recorded(map_from_body: Isometry3<f64>) -> AgentState {
     AgentState {
         map_from_body,
         covariance: None,

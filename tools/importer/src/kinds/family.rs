@@ -3,6 +3,7 @@
 mod finding;
 mod frame_file;
 mod poses;
+mod stated;
 
 use std::path::Path;
 
@@ -19,7 +20,7 @@ use crate::faults::{FaultsOfSweep, FileKind};
 use crate::options::Handed;
 use crate::pcd::Points;
 use crate::rows::read_rows;
-use crate::scenes::{Found, Label, Layout, RawSweep, SweepFiles};
+use crate::scenes::{Found, Label, Layout, RawSweep, Stated, SweepFiles};
 use crate::{ImportError, Options};
 
 /// What the boxes of labels are relative to.
@@ -110,7 +111,7 @@ struct Said {
     map_from_lidar: Isometry3<f64>,
     /// The key of a vehicle's pose that was taken for that of its LiDAR.
     pose_of: Option<&'static str>,
-    height: Option<f64>,
+    stated: Stated,
     labels: Vec<Label>,
     /// Labels without a size.
     dropped: usize,
@@ -135,7 +136,7 @@ impl Layout for Family {
         let sweep = said.zip(points).map(|(said, points)| RawSweep {
             map_from_lidar: said.map_from_lidar,
             pose_of: said.pose_of,
-            height: said.height,
+            stated: said.stated,
             points,
             labels: said.labels,
             dropped: said.dropped,
@@ -143,6 +144,10 @@ impl Layout for Family {
             is_unscored: said.is_unscored,
         });
         faults.or(sweep)
+    }
+
+    fn pose_file(&self) -> Option<&'static str> {
+        Some("poses.csv")
     }
 
     fn agents_are_objects(&self) -> bool {
@@ -203,7 +208,7 @@ impl Family {
         Ok(Said {
             map_from_lidar,
             pose_of: file.vehicle_pose().filter(|_| options.pose_key.is_none()),
-            height: file.height()?,
+            stated: file.stated()?,
             labels,
             dropped,
             is_unscored: file.is_unscored(),

@@ -16,7 +16,7 @@ use self::labels::labels;
 use super::{Importer, Job, Kind};
 use crate::faults::{FaultsOfSweep, FileKind};
 use crate::rows::read_rows;
-use crate::scenes::{Found, Layout, RawSweep, Scene, SceneAgent, SweepFiles};
+use crate::scenes::{Found, Layout, RawSweep, Scene, SceneAgent, Stated, SweepFiles};
 use crate::{ImportError, Options};
 
 /// KITTI.
@@ -143,7 +143,7 @@ impl Layout for KittiLayout {
             Some(RawSweep {
                 map_from_lidar,
                 pose_of: None,
-                height: None,
+                stated: Stated::default(),
                 points,
                 labels,
                 dropped,

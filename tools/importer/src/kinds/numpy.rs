@@ -14,7 +14,7 @@ use super::{Importer, Job, Kind};
 use crate::faults::{FaultsOfSweep, FileKind};
 use crate::pcd::{Intensities, Points};
 use crate::places::of_rows;
-use crate::scenes::{Found, Label, Layout, RawSweep, Scene, SceneAgent, SweepFiles, agent_name};
+use crate::scenes::{Found, Label, Layout, RawSweep, Scene, SceneAgent, Stated, SweepFiles, agent_name};
 use crate::{ImportError, Options};
 
 /// Arrays of numpy.
@@ -306,7 +306,7 @@ fn archived(path: &Path, options: &Options) -> Result<RawSweep, ImportError> {
     Ok(RawSweep {
         map_from_lidar,
         pose_of: None,
-        height: None,
+        stated: Stated::default(),
         points: points(&points_array).map_err(|reason| wrong(format!("array `points`: {reason}")))?,
         labels,
         dropped: 0,
@@ -330,7 +330,7 @@ fn beside(files: &SweepFiles, options: &Options) -> Result<RawSweep, ImportError
     Ok(RawSweep {
         map_from_lidar,
         pose_of: None,
-        height: None,
+        stated: Stated::default(),
         points,
         labels: labels.map_err(|reason| ImportError::content(&files.labels, reason))?,
         dropped: 0,

@@ -16,7 +16,7 @@ use crate::clouds::read_points;
 use crate::faults::{FaultsOfSweep, FileKind};
 use crate::options::{BoxPlace, SweepStamp};
 use crate::pcd::Points;
-use crate::scenes::{Found, Layout, RawSweep, Scene, SceneAgent, SweepFiles, agent_name};
+use crate::scenes::{Found, Layout, RawSweep, Scene, SceneAgent, Stated, SweepFiles, agent_name};
 use crate::{ImportError, Options};
 
 /// TUMTraf-V2X.
@@ -206,7 +206,7 @@ impl Layout for TumTrafLayout {
             .map(|((map_from_lidar, (labels, dropped)), points)| RawSweep {
                 map_from_lidar,
                 pose_of: None,
-                height: None,
+                stated: Stated::default(),
                 points,
                 labels,
                 dropped,

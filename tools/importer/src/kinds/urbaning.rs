@@ -14,7 +14,7 @@ use super::folders::{list, name_of, scene_name};
 use super::{Importer, Job, Kind};
 use crate::faults::{FaultsOfSweep, FileKind};
 use crate::options::BoxPlace;
-use crate::scenes::{Found, Layout, RawSweep, SharedLabels, SweepFiles};
+use crate::scenes::{Found, Layout, RawSweep, SharedLabels, Stated, SweepFiles};
 use crate::{ImportError, Options};
 
 /// UrbanIng-V2X.
@@ -136,7 +136,7 @@ impl Layout for UrbaningLayout {
             // `find` gives no sweep without one.
             map_from_lidar: files.map_from_lidar.unwrap_or_default(),
             pose_of: None,
-            height: None,
+            stated: Stated::default(),
             points,
             labels,
             dropped,

@@ -28,6 +28,8 @@ pub struct BodySweep {
     pub pose_of: Option<&'static str>,
     pub view: Option<View>,
     pub is_unscored: bool,
+    /// Whether its files say its stamp.
+    pub is_stamped: bool,
 }
 
 /// A frame: the sweeps and the labels of its agents, in one order.
@@ -58,7 +60,7 @@ impl SceneImport<'_> {
     fn place(
         &self,
         agent: usize,
-        stamp: Nanos,
+        by_clock: Nanos,
         files: &SweepFiles,
         raw: RawSweep,
         known: &Known,
@@ -66,13 +68,14 @@ impl SceneImport<'_> {
         let RawSweep {
             map_from_lidar,
             pose_of,
-            height: _,
+            stated,
             points,
             labels,
             dropped,
             view,
             is_unscored,
         } = raw;
+        let stamp = stated.stamp.unwrap_or(by_clock);
         let mut faults = FaultsOfSweep::default();
         faults.keep(FileKind::Labels, check(files, &map_from_lidar, &labels));
         let level = self.options.level;
@@ -95,6 +98,7 @@ impl SceneImport<'_> {
                 pose_of,
                 view: view.map(|view| view.moved(&body_from_lidar)),
                 is_unscored,
+                is_stamped: stated.stamp.is_some(),
             };
             let labelled = Labelled {
                 folder: self.scene.agents[agent].folder.clone(),

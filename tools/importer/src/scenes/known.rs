@@ -2,7 +2,7 @@
 
 use realo_schemas::geometry::level_from_body;
 
-use super::{Layout, RawSweep, Scene, SceneAgent};
+use super::{Layout, RawSweep, Scene, SceneAgent, Stated};
 use crate::clouds::{Brightest, LOOKED_AT};
 use crate::level::{BELOW_A_SENSOR, Level, Plane};
 use crate::{ImportError, Options};
@@ -17,6 +17,10 @@ pub struct Known {
     pub brightest: Brightest,
     /// Height of its LiDAR over the ground, m; 0 where its frames are levelled by the ground of each sweep.
     pub height: f64,
+    /// Its outline, m, where its files say it.
+    pub footprint: Option<[f64; 4]>,
+    /// What its files say besides what all do, in words.
+    pub said: Vec<&'static str>,
 }
 
 impl Known {
@@ -27,7 +31,7 @@ impl Known {
     pub fn of(layout: &dyn Layout, scene: &Scene, agent: &SceneAgent, options: &Options) -> Result<Self, ImportError> {
         let (mut heights, mut reason) = (Vec::new(), None);
         let mut brightest = Brightest::of_range(options.intensity_range);
-        let mut by_files = None;
+        let mut by_files = Stated::default();
         let wanted = agent.sweeps.iter().filter(|(number, _)| options.wants_frame(**number));
         let needs_ground = options.level != Level::Ground && options.height_m.is_none();
         for (_, files) in wanted.take(LOOKED_AT) {
@@ -35,8 +39,8 @@ impl Known {
                 continue;
             };
             brightest.look_at(&sweep.points.intensity);
-            by_files = by_files.or(sweep.height);
-            if needs_ground && by_files.is_none() && heights.len() < GROUNDS {
+            by_files = by_files.or(sweep.stated);
+            if needs_ground && by_files.height.is_none() && heights.len() < GROUNDS {
                 match height(&sweep, options.level) {
                     Ok(height) => heights.push(height),
                     Err(error) => reason = Some((files.cloud.clone(), error)),
@@ -44,7 +48,7 @@ impl Known {
             }
         }
         heights.sort_by(f64::total_cmp);
-        let stated = options.height_m.or(by_files.filter(|_| needs_ground));
+        let stated = options.height_m.or(by_files.height.filter(|_| needs_ground));
         let height = match (stated, heights.get(heights.len() / 2), reason) {
             (Some(height), ..) => height,
             (None, Some(height), _) => *height,
@@ -57,7 +61,32 @@ impl Known {
             }
             (None, None, None) => 0.0,
         };
-        Ok(Known { brightest, height })
+        let said = [
+            (by_files.stamp.is_some(), "stamps"),
+            (by_files.footprint.is_some(), "outlines"),
+            (by_files.height.is_some_and(|said| said == height), "heights of LiDARs"),
+        ];
+        Ok(Known {
+            brightest,
+            height,
+            footprint: by_files.footprint,
+            said: said
+                .into_iter()
+                .filter(|(is_said, _)| *is_said)
+                .map(|(_, word)| word)
+                .collect(),
+        })
+    }
+}
+
+impl Stated {
+    /// With what another sweep of the agent says, where this one does not.
+    fn or(self, other: Stated) -> Stated {
+        Stated {
+            height: self.height.or(other.height),
+            stamp: self.stamp.or(other.stamp),
+            footprint: self.footprint.or(other.footprint),
+        }
     }
 }
 

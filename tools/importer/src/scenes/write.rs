@@ -4,12 +4,13 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use realo_logs::{AgentInfo, AgentKind, Levelled, LogInfo, LogWriter};
-use realo_schemas::PointCloud;
+use realo_schemas::{Nanos, PointCloud};
 
 use super::clock::Clock;
 use super::count::points_in_boxes;
 use super::frame::{BodySweep, Frame, numbers};
 use super::known::Known;
+use super::poses::Poses;
 use super::residual::{Placed, residual};
 use super::truth::{Itself, Labelled, Truth, truth_of};
 use super::{AgentSummary, Layout, Scene, SceneAgent, SceneSummary};
@@ -51,17 +52,25 @@ impl<'a> SceneImport<'a> {
             // Other scenes may have what this one lacks.
             Err(error) => return Ok(self.unknown(&error, progress)),
         };
+        let poses: Vec<Option<Poses>> = self
+            .scene
+            .agents
+            .iter()
+            .map(|agent| self.poses(agent))
+            .collect::<Result<_, _>>()?;
         let mut writing = Writing {
+            poses,
             log: Some(LogWriter::create_atomic(output, &self.info(&known))?),
             import: self,
             summary: self.summary(&known),
             known,
             tilts: vec![Vec::new(); self.scene.agents.len()],
+            newest: vec![None; self.scene.agents.len()],
             faults: Faults::default(),
         };
         for number in numbers(self.scene, self.options) {
             match self.frame(number, &writing.known) {
-                Ok(frame) => writing.frame(&frame)?,
+                Ok(frame) => writing.frame(number, &frame)?,
                 Err(faults) => writing.incomplete(faults),
             }
             progress();
@@ -81,20 +90,28 @@ impl<'a> SceneImport<'a> {
         }
     }
 
+    /// All poses of an agent, where the layout has a file for them.
+    fn poses(&self, agent: &SceneAgent) -> Result<Option<Poses>, ImportError> {
+        let all = self.options.frames == Options::default().frames;
+        let name = self.layout.pose_file();
+        name.map_or(Ok(None), |name| Poses::of(agent, name, all))
+    }
+
     fn info(&self, known: &[Known]) -> LogInfo {
         let agents = self.scene.agents.iter().zip(known);
-        let agents = agents.map(|(agent, known)| self.agent(agent, known.height)).collect();
+        let agents = agents.map(|(agent, known)| self.agent(agent, known)).collect();
         let mut info = LogInfo::new(source(self.layout, self.scene), agents);
         info.key_frames = self.layout.scored().into();
         info
     }
 
-    fn agent(&self, agent: &SceneAgent, height: f64) -> AgentInfo {
+    fn agent(&self, agent: &SceneAgent, known: &Known) -> AgentInfo {
+        let height = known.height;
         let is_fixed = self.options.level != Level::Ground;
         AgentInfo {
             name: agent.name.clone(),
             kind: agent.kind,
-            footprint: self.footprint(agent),
+            footprint: self.footprint(agent, known),
             sensor: match is_fixed {
                 true => format!("LiDAR, {height:.2} m over the body frame"),
                 false => "LiDAR".into(),
@@ -103,15 +120,19 @@ impl<'a> SceneImport<'a> {
         }
     }
 
-    fn footprint(&self, agent: &SceneAgent) -> Option<[f64; 4]> {
-        (agent.kind == AgentKind::Vehicle).then_some(self.options.footprint)
+    fn footprint(&self, agent: &SceneAgent, known: &Known) -> Option<[f64; 4]> {
+        let outline = known.footprint.unwrap_or(self.options.footprint);
+        (agent.kind == AgentKind::Vehicle).then_some(outline)
     }
 
     fn summary(&self, known: &[Known]) -> SceneSummary {
         let mut assumed = self.layout.assumed(self.options);
-        assumed.insert(0, self.clock.words(self.options));
+        if !known.iter().all(|known| known.said.contains(&"stamps")) {
+            assumed.insert(0, self.clock.words(self.options));
+        }
         assumed.push(format!("frames levelled by: {} (--level)", self.options.level));
         assumed.extend(self.scene.assumed.iter().cloned());
+        assumed.extend(said_by_files(self.scene, known));
         let agent = |(agent, known): (&SceneAgent, &Known)| AgentSummary {
             folder: agent.folder.clone(),
             name: agent.name.clone(),
@@ -137,6 +158,10 @@ struct Writing<'a> {
     known: Vec<Known>,
     /// What was levelled of each agent's sweeps, degrees.
     tilts: Vec<Vec<f64>>,
+    /// All poses of each agent, where there is a file of them.
+    poses: Vec<Option<Poses>>,
+    /// Stamp of each agent's newest sweep.
+    newest: Vec<Option<Nanos>>,
     faults: Faults,
 }
 
@@ -149,13 +174,30 @@ impl Writing<'_> {
         }
     }
 
-    fn frame(&mut self, (sweeps, labels): &Frame) -> Result<(), ImportError> {
+    fn frame(&mut self, number: u64, (sweeps, labels): &Frame) -> Result<(), ImportError> {
         self.summary.frames += 1;
+        sweeps.iter().try_for_each(|sweep| self.in_order(number, sweep))?;
         for (index, sweep) in sweeps.iter().enumerate() {
             self.sweep(sweep, index, labels)?;
         }
         self.overlap(sweeps, labels);
         Ok(())
+    }
+
+    /// Checks that a stamp of a file is later than that of the agent's sweep before it.
+    fn in_order(&mut self, number: u64, sweep: &BodySweep) -> Result<(), ImportError> {
+        let newest = self.newest[sweep.agent].replace(sweep.stamp);
+        let Some(newest) = newest.filter(|newest| sweep.is_stamped && *newest >= sweep.stamp) else {
+            return Ok(());
+        };
+        let agent = &self.import.scene.agents[sweep.agent];
+        let labels = agent.sweeps.get(&number).map(|files| files.labels.as_path());
+        let reason = format!(
+            "stamp of the sweep: expected one later than that of the sweep before, {newest} ns, found {} ns; correct it, or remove \
+             the key from all files of `{}`",
+            sweep.stamp, agent.folder
+        );
+        Err(ImportError::content(labels.unwrap_or(self.import.dir), reason))
     }
 
     fn sweep(&mut self, sweep: &BodySweep, index: usize, labels: &[Labelled]) -> Result<(), ImportError> {
@@ -169,7 +211,7 @@ impl Writing<'_> {
         let Some(log) = &mut self.log else { return Ok(()) };
         let agent = &scene.agents[sweep.agent];
         let itself = Itself {
-            footprint: self.import.footprint(agent),
+            footprint: self.import.footprint(agent, &self.known[sweep.agent]),
             is_object: layout.agents_are_objects(),
         };
         let truth = truth_of(labels, index, &itself);
@@ -179,7 +221,11 @@ impl Writing<'_> {
             SweepStamp::End => sweep.stamp,
         };
         let (name, stamp) = (&agent.name, sweep.stamp);
-        log.pose(name, stamp, stamp, &recorded(labels[index].map_from_body))?;
+        let map_from_body = &labels[index].map_from_body;
+        match &mut self.poses[sweep.agent] {
+            Some(poses) => poses.sweep(log, name, [stamp, ready], map_from_body)?,
+            None => log.pose(name, stamp, stamp, &recorded(*map_from_body))?,
+        }
         log.cloud(name, stamp, ready, &sweep.cloud)?;
         let own = &truth.boxes[..truth.own];
         if let Some(view) = &sweep.view {
@@ -232,6 +278,11 @@ impl Writing<'_> {
         self.summary.missing = self.faults.by_cause;
         let level = self.import.options.level;
         if let Some(mut log) = self.log.filter(|_| self.summary.frames > 0) {
+            for (agent, poses) in self.import.scene.agents.iter().zip(&mut self.poses) {
+                poses
+                    .iter_mut()
+                    .try_for_each(|poses| poses.finish(&mut log, &agent.name))?;
+            }
             let agents = self.import.scene.agents.iter().zip(&self.tilts);
             let agents = agents.filter(|(_, tilts)| !tilts.is_empty());
             log.levelled(
@@ -255,6 +306,24 @@ fn points_on(cloud: &PointCloud, truth: &Truth) -> Vec<u32> {
             counted.map(|(inside, own)| own.unwrap_or(inside)).collect()
         }
     }
+}
+
+/// What the files of agents say, which counts before what is assumed: a line for all agents whose files say the same.
+fn said_by_files(scene: &Scene, known: &[Known]) -> Vec<String> {
+    let mut agents: BTreeMap<&[&str], Vec<&str>> = BTreeMap::new();
+    for (agent, known) in scene
+        .agents
+        .iter()
+        .zip(known)
+        .filter(|(_, known)| !known.said.is_empty())
+    {
+        agents.entry(&known.said).or_default().push(&agent.name);
+    }
+    let line = |(said, names): (&[&str], Vec<&str>)| {
+        let (said, names) = (said.join(", "), names.join("`, `"));
+        format!("the files of `{names}` say it themselves, which counts before all else: {said}")
+    };
+    agents.into_iter().map(line).collect()
 }
 
 /// Where the log of a scene is from, as it says itself.

@@ -386,3 +386,81 @@ fn a_height_that_the_files_say_counts_before_the_ground() {
         "{error}"
     );
 }
+
+#[test]
+fn names_stamps_and_outlines_that_the_files_say_count_before_guesses() {
+    let made = Made::new(&OPV2V);
+    let say = |folder: &str, lines: &dyn Fn(u64) -> String| {
+        for frame in 0..4 {
+            let path = made.labels(folder, 68 + 2 * frame);
+            let Ok(text) = fs::read_to_string(&path) else { continue };
+            let is_old = |line: &&str| {
+                ["agent_name", "stamp_ns", "footprint"]
+                    .iter()
+                    .any(|key| line.starts_with(key))
+            };
+            let kept: Vec<&str> = text.lines().filter(|line| !is_old(line)).collect();
+            fs::write(&path, format!("{}{}\n", lines(frame), kept.join("\n"))).unwrap();
+        }
+    };
+    let stamp = |frame: u64| 1_700_000_000_000_123_457 + 100_000_000 * frame as i64;
+    let all = |name: &str, frame: u64| {
+        format!(
+            "agent_name: {name}\nstamp_ns: {}\nfootprint: [-1.5, 3.25, -0.75, 0.75]\n",
+            stamp(frame)
+        )
+    };
+    say("641", &|frame| all("truck-7", frame));
+    made.import(&[]).unwrap();
+    let log = Log::open(made.out()).unwrap();
+    let named = log.info().agent("truck-7").unwrap();
+    assert_eq!(named.footprint, Some([-1.5, 3.25, -0.75, 0.75]));
+    assert!(
+        log.info().agent("cav_650").unwrap().footprint != named.footprint,
+        "the other agent's files say none"
+    );
+    let (_, found) = crate::reading::read(&made.out());
+    let stamps: Vec<i64> = found
+        .keys()
+        .filter(|(name, _)| name == "truck-7")
+        .map(|(_, stamp)| *stamp)
+        .collect();
+    assert_eq!(stamps[..2], [stamp(0), stamp(1)]);
+    assert_eq!(found[&("truck-7".to_string(), stamp(0))].ready, stamp(0) + 100_000_000);
+    let refused = |lines: &dyn Fn(u64) -> String| {
+        say("641", lines);
+        made.import(&[]).unwrap_err().to_string()
+    };
+    let cases: [(&dyn Fn(u64) -> String, &str); 5] = [
+        (
+            &|_| "agent_name: a/b\n".into(),
+            "agent_name: `a/b` cannot name an agent",
+        ),
+        (
+            &|_| "stamp_ns: 1.5\n".into(),
+            "stamp_ns: expected a whole number of ns since 1970, found `1.5`",
+        ),
+        (
+            &|_| "stamp_ns: 5\n".into(),
+            "expected one later than that of the sweep before, 5 ns, found 5 ns",
+        ),
+        (
+            &|_| "footprint: [3, -1, 0, 1]\n".into(),
+            "footprint: expected [x min, x max, y min, y max]",
+        ),
+        (
+            &|_| "footprint: wide\n".into(),
+            "footprint: expected [x min, x max, y min, y max]",
+        ),
+    ];
+    for (lines, expected) in cases {
+        let error = refused(lines);
+        assert!(error.contains(expected) && error.contains("641"), "{error}");
+    }
+    say("650", &|frame| all("twin", frame));
+    let error = refused(&|frame| all("twin", frame));
+    assert!(
+        error.contains("found `twin` in the files of `641` and of `650`"),
+        "{error}"
+    );
+}

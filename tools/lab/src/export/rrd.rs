@@ -67,7 +67,7 @@ pub fn main(args: &RrdArgs) -> Result<Outcome> {
 }
 
 /// The file that is meant by a file, or by the folder of a run.
-fn recording_of(run: &Path) -> Result<PathBuf> {
+pub fn recording_of(run: &Path) -> Result<PathBuf> {
     if run.is_file() {
         return Ok(run.into());
     }

@@ -17,7 +17,6 @@ use rustix::fs::statvfs;
 use rustix::process::{Resource, Rlimit, getrlimit, setrlimit};
 
 use super::nodes::{deciding, given};
-use super::prepare::RunPlan;
 
 /// Where the nodes' shared memory lies.
 const SHARED: &str = "/dev/shm";
@@ -83,22 +82,18 @@ impl Memory {
 ///
 /// # Errors
 /// What keeps the run from running, with what helps.
-pub fn prepare(plan: &RunPlan) -> Result<Memory> {
-    for check in [
-        descriptors(),
-        threads(threads_of(plan.graph.processes().len())),
-        loopback(),
-    ] {
+pub fn prepare(name: &str, graph: &FlatGraph) -> Result<Memory> {
+    for check in [descriptors(), threads(threads_of(graph.processes().len())), loopback()] {
         if let Err(reason) = check.found {
-            bail!("{}: nothing was started: {reason}", plan.name);
+            bail!("{name}: nothing was started: {reason}");
         }
     }
     free_orphans();
-    let needed = shared_memory_of(&plan.graph);
+    let needed = shared_memory_of(graph);
     Ok(match free_shared() {
         Some(free) if free >= needed => Memory::Shared,
         free => {
-            eprintln!("realo: {}: {}", plan.name, through_sockets(free, needed));
+            eprintln!("realo: {name}: {}", through_sockets(free, needed));
             Memory::Sockets
         }
     })

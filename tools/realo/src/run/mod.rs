@@ -10,6 +10,7 @@ mod folders;
 mod foxglove;
 mod lane;
 mod limit;
+mod live;
 mod localization;
 mod machine;
 mod named;
@@ -331,6 +332,9 @@ struct Planned<'a> {
 /// the others, and its error follows.
 pub fn main(args: &Args) -> Result<Outcome> {
     signals::catch(realo_host::virtual_time::end_all)?;
+    if let Some(file) = live::asked(args) {
+        return live::main(args, &file);
+    }
     let mut args = args.clone();
     let mode = args.driver()?;
     machine::threads_of_virtual()?;

@@ -123,7 +123,7 @@ pub fn batch(args: &Args, mode: Mode, path: &Path, name: &str) -> Result<Batch> 
 /// As [`batch`].
 pub fn batch_with(args: &Args, mode: Mode, path: &Path, name: &str, networks: &mut Networks) -> Result<Batch> {
     let mut set = settings(args)?;
-    let graph = base_graph(args, &mut set, path)?;
+    let graph = base_graph(args, &mut set, path, &[roles::LOG, roles::OUT])?;
     if mode == Mode::Realtime {
         report_machines(&graph, path);
     }
@@ -340,7 +340,7 @@ pub struct LaneRun {
 pub fn lane(args: &Args) -> Result<LaneRun> {
     let mut set = settings(args)?;
     let path = &realo_cli::find::graph(&args.graphs[0])?;
-    let base = base_graph(args, &mut set, path)?;
+    let base = base_graph(args, &mut set, path, &[roles::LOG, roles::OUT])?;
     let compute = args
         .compute
         .as_deref()
@@ -398,15 +398,15 @@ pub fn nobody_projects(graphs: &str) -> Report {
 }
 
 /// What `--set` says.
-fn settings(args: &Args) -> Result<Vec<Setting>> {
+pub(super) fn settings(args: &Args) -> Result<Vec<Setting>> {
     let mut set = args.choices.set.clone();
     choices::settle(&mut set);
     set.iter().map(|text| Ok(text.parse()?)).collect()
 }
 
-/// The graph of a file with what the options put into it. Paths that are set become absolute: they are relative to where
-/// the user is.
-fn base_graph(args: &Args, set: &mut [Setting], path: &Path) -> Result<FlatGraph> {
+/// The graph of a file with what the options put into it; `needed`: roles that its nodes must have. Paths that are set become absolute:
+/// they are relative to where the user is.
+pub(super) fn base_graph(args: &Args, set: &mut [Setting], path: &Path, needed: &[&'static str]) -> Result<FlatGraph> {
     let graph = Graph::load(path)?;
     let graph = if args.choices.recorded_detections {
         graph.with_detection("recorded")
@@ -417,7 +417,7 @@ fn base_graph(args: &Args, set: &mut [Setting], path: &Path) -> Result<FlatGraph
     replace::apply(&mut flat, &args.choices.replace, true)?;
     refuse_unfilled(&flat)?;
     anchor_paths(&mut flat)?;
-    for needed in [roles::LOG, roles::OUT] {
+    for needed in needed.iter().copied() {
         if deciding(&flat, needed).next().is_none() {
             let (file, node) = (flat.file.display(), takers(needed));
             bail!("{file}: expected a node `{node}`, found none; without it, start the graph with `dora run`");

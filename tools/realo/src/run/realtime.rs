@@ -11,6 +11,7 @@ use std::time::{Duration, Instant};
 use eyre::{Report, Result, WrapErr, bail};
 use realo_cli::Progress;
 use realo_cli::signals::{self, Ending};
+use realo_graph::FlatGraph;
 use realo_host::TAP_VARIABLE;
 use realo_host::dora::{FOLDER_VARIABLE, OVERLAY_VARIABLE, POOL_VARIABLE, Slow};
 use realo_operator::Durations;
@@ -35,6 +36,30 @@ const AGAIN: Duration = Duration::from_secs(30);
 /// A graph may take so long until all its nodes are ready.
 const TO_BEGIN: Duration = Duration::from_secs(60);
 
+/// What dora runs.
+#[derive(Clone, Copy)]
+pub struct Started<'a> {
+    /// What is shown while it runs.
+    pub name: &'a str,
+    /// The graph with all its arguments.
+    pub graph: &'a FlatGraph,
+    /// Where its results go.
+    pub out: &'a Path,
+    /// Length of what is played, s; `None`: it goes on until it is ended.
+    pub seconds: Option<f64>,
+}
+
+impl<'a> From<&'a RunPlan> for Started<'a> {
+    fn from(plan: &'a RunPlan) -> Self {
+        Started {
+            name: &plan.name,
+            graph: &plan.graph,
+            out: &plan.out,
+            seconds: Some(plan.seconds),
+        }
+    }
+}
+
 /// Has dora run a plan and checks that the run is complete. `view` shows it.
 ///
 /// # Errors
@@ -43,7 +68,17 @@ pub fn run(plan: &RunPlan, rate: f64, view: Option<&View>) -> Result<()> {
     if signals::first().is_some() {
         return Err(Unfinished::of(&plan.name).into());
     }
-    let memory = machine::prepare(plan)?;
+    let scene = view.map(|view| view.scene(plan, Mode::Realtime)).transpose()?;
+    let showing = scene.map(|scene| scene.show_processes(rate)).transpose()?;
+    start(&plan.into(), rate, showing)
+}
+
+/// Has dora run a graph until it ends or a signal ends it, and checks that it is complete.
+///
+/// # Errors
+/// As [`run`].
+pub fn start(plan: &Started, rate: f64, showing: Option<Showing>) -> Result<()> {
+    let memory = machine::prepare(plan.name, plan.graph)?;
     let dora = dora::find()?;
     let graph = write_graph(plan)?;
     let overlay = graph.with_file_name("zenoh.json5");
@@ -51,8 +86,6 @@ pub fn run(plan: &RunPlan, rate: f64, view: Option<&View>) -> Result<()> {
     let log_path = plan.out.join("dora.log");
     let log = File::create(&log_path).wrap_err_with(|| format!("{}", log_path.display()))?;
     let output = log.try_clone()?;
-    let scene = view.map(|view| view.scene(plan, Mode::Realtime)).transpose()?;
-    let showing = scene.map(|scene| scene.show_processes(rate)).transpose()?;
     let told = showing.as_ref().map(Showing::told).transpose()?.flatten();
     let (tether, child) = Tether::start(&dora, |command| {
         command
@@ -90,7 +123,7 @@ struct Ended {
 }
 
 /// Says in a run's result what ended it.
-fn conclude(plan: &RunPlan, ending: Ending, killed: bool) -> Result<()> {
+fn conclude(plan: &Started, ending: Ending, killed: bool) -> Result<()> {
     if !plan.out.join(realo_results::RESULT_FILE).exists() {
         return Err(no_results(
             plan,
@@ -103,32 +136,34 @@ fn conclude(plan: &RunPlan, ending: Ending, killed: bool) -> Result<()> {
             },
         ));
     }
-    let mut run = realo_results::read_run(&plan.out)?;
+    let mut run = realo_results::read_run(plan.out)?;
     if has_nothing(plan, &run) {
         // An earlier run's results are worth more.
-        realo_results::claim(&plan.out)?;
+        realo_results::claim(plan.out)?;
         return Err(no_results(plan, "it ended before the first sweep"));
     }
     run.result.ended_by = Some(ending.to_string());
     let note = format!("{ending} ended the run early: these numbers are of what was played until then");
     run.result.notes.insert(0, note);
-    Ok(realo_results::write_result(&plan.out, &run.result)?)
+    Ok(realo_results::write_result(plan.out, &run.result)?)
 }
 
 /// The error of a run that a signal ended without results.
-fn no_results(plan: &RunPlan, why: &str) -> Report {
+fn no_results(plan: &Started, why: &str) -> Report {
     let unfinished = Unfinished {
-        name: plan.name.clone(),
+        name: plan.name.into(),
         reason: format!("no results: {why}"),
     };
     unfinished.into()
 }
 
 /// Whether a run that a signal ended had no sweep of the ego yet; where none is scored, whether nothing had been played.
-fn has_nothing(plan: &RunPlan, run: &Run) -> bool {
-    let mut results = deciding(&plan.graph, roles::OUT);
+fn has_nothing(plan: &Started, run: &Run) -> bool {
+    let mut results = deciding(plan.graph, roles::OUT);
     let (frames, samples) = (&run.result.frames, &run.timing.samples);
-    match results.any(|node| ["boxes", "truth"].iter().any(|port| node.inputs.contains_key(*port))) {
+    // What comes from outside has no truth, and boxes without it are not counted as frames.
+    let is_played = plan.seconds.is_some();
+    match is_played && results.any(|node| ["boxes", "truth"].iter().any(|port| node.inputs.contains_key(*port))) {
         true => frames.total + frames.processed == 0,
         false => {
             let mut calls = samples.compute.values().flat_map(BTreeMap::values);
@@ -143,7 +178,7 @@ fn is_empty(durations: &Durations) -> bool {
 }
 
 /// Writes the expanded graph with this very program behind every stage, and its types beside it.
-fn write_graph(plan: &RunPlan) -> Result<PathBuf> {
+fn write_graph(plan: &Started) -> Result<PathBuf> {
     let folder = std::path::absolute(plan.out.join("graph"))?;
     let mut graph = plan.graph.clone();
     graph.host_in(&std::env::current_exe()?);
@@ -170,14 +205,14 @@ fn copy_folder(from: &Path, to: &Path) -> Result<()> {
     Ok(())
 }
 
-fn watch(mut tether: Tether, mut child: Child, plan: &RunPlan, rate: f64, log: &Path) -> Result<Ended> {
-    let seconds = (plan.seconds * repeats(plan) / rate).ceil();
-    let progress = Progress::new(plan.name.clone(), "s", Some(seconds));
+fn watch(mut tether: Tether, mut child: Child, plan: &Started, rate: f64, log: &Path) -> Result<Ended> {
+    let seconds = plan.seconds.map(|seconds| (seconds * repeats(plan) / rate).ceil());
+    let progress = Progress::new(plan.name, "s", seconds);
     let begun = Instant::now();
     let mut follower = Follower::new(log, rate);
     let (mut asked, mut failed): (Option<Instant>, Option<Instant>) = (None, None);
     let mut killed = false;
-    let mut remind = Duration::from_secs_f64(seconds) + TO_FINISH;
+    let mut remind = seconds.map(|seconds| Duration::from_secs_f64(seconds) + TO_FINISH);
     while child.try_wait()?.is_none() {
         if asked.is_none() && signals::first().is_some() {
             tether.end();
@@ -198,12 +233,13 @@ fn watch(mut tether: Tether, mut child: Child, plan: &RunPlan, rate: f64, log: &
             break;
         }
         let playing = follower.ready.unwrap_or(begun + TO_BEGIN);
-        if asked.is_none() && playing.elapsed() > remind {
+        if let (None, Some(due), Some(seconds)) = (asked, remind.filter(|due| playing.elapsed() > *due), seconds) {
             let late = playing.elapsed().as_secs_f64() - seconds;
             progress.beside(|| eprintln!("realo: {}: {}", plan.name, not_ended(late, &follower.running)));
-            remind += AGAIN;
+            remind = Some(due + AGAIN);
         }
-        progress.set((begun.elapsed().as_secs() as f64).min(seconds));
+        let elapsed = begun.elapsed().as_secs() as f64;
+        progress.set(seconds.map_or(elapsed, |seconds| elapsed.min(seconds)));
         std::thread::sleep(Duration::from_millis(50));
     }
     // Nothing is left running, however the run ended.
@@ -218,8 +254,8 @@ fn watch(mut tether: Tether, mut child: Child, plan: &RunPlan, rate: f64, log: &
 }
 
 /// How often the log is played.
-fn repeats(plan: &RunPlan) -> f64 {
-    let players = deciding(&plan.graph, roles::LOG);
+fn repeats(plan: &Started) -> f64 {
+    let players = deciding(plan.graph, roles::LOG);
     let repeats = players.filter_map(|node| argument(node, "repeat")?.parse::<f64>().ok());
     repeats.fold(1.0, f64::max)
 }
@@ -243,7 +279,7 @@ fn is_stopped(process: u32) -> bool {
     state.starts_with(['T', 't'])
 }
 
-fn check(plan: &RunPlan, ended: &Ended, log: &Path) -> Result<()> {
+fn check(plan: &Started, ended: &Ended, log: &Path) -> Result<()> {
     let text = plain(&fs::read_to_string(log).unwrap_or_default());
     if let Some((node, how)) = &ended.culprit {
         let prefix = format!("{node}: ");

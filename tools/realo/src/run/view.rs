@@ -59,6 +59,11 @@ fn foxglove_address(text: &str) -> Result<SocketAddr, AddressError> {
 }
 
 impl ViewArgs {
+    /// Whether a run is to be shown.
+    pub fn is_asked(&self) -> bool {
+        self.view.is_some() || self.foxglove.is_some()
+    }
+
     /// Begins to serve, where that is asked for, and says where.
     ///
     /// # Errors

@@ -24,13 +24,18 @@ pub fn yaml(agent: &SceneAgent, sweep: &Sweep, ids: &[u64]) -> String {
         .track
         .motion_at(sweep.stamp)
         .map_or(0.0, |(velocity, _)| velocity.norm());
+    let name = serde_json::to_string(&agent.name).expect("a text is plain data");
     let mut text = format!(
-        "ego_speed: {}\nlidar_height: {}\nlidar_pose: [{}]\ntrue_ego_pos: [{}]\n",
+        "agent_name: {name}\nego_speed: {}\nlidar_height: {}\nlidar_pose: [{}]\nstamp_ns: {}\ntrue_ego_pos: [{}]\n",
         number(3.6 * speed),
         number(agent.height),
         pose(&map_from_lidar),
+        sweep.stamp,
         pose(&sweep.map_from_body),
     );
+    if let Some(outline) = agent.stated_footprint {
+        text += &format!("footprint: [{}]\n", numbers(&outline));
+    }
     if agent.kind == AgentKind::Roadside {
         text += "RSU: true\n";
     }

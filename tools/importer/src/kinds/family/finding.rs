@@ -105,20 +105,38 @@ impl Walk<'_> {
     fn scene(&mut self, dir: &Path, folders: Vec<(PathBuf, Listed)>) -> Result<(), ImportError> {
         let name = scene_name(self.root, dir);
         let mut agents: Vec<SceneAgent> = Vec::new();
-        let mut known: Vec<(AgentKind, String, BTreeMap<u64, SweepFiles>)> = Vec::new();
+        let mut known: Vec<Known> = Vec::new();
         for (folder, listed) in folders {
             let sweeps = sweeps(&listed, &folder, &self.clouds);
-            let name = name_of(&folder);
-            let kind = match self.roadside.contains(&&*name) {
+            let folder = name_of(&folder);
+            let first = first_of(&sweeps);
+            let is_roadside = self.roadside.contains(&&*folder)
+                || folder.starts_with('-')
+                || first.as_ref().is_some_and(FrameFile::is_roadside);
+            let kind = match is_roadside {
                 true => AgentKind::Roadside,
-                false => kind_of(&name, &sweeps),
+                false => AgentKind::Vehicle,
             };
-            known.push((kind, name, sweeps));
+            let stated = first.map_or(Ok(None), |file| file.agent_name())?;
+            known.push(Known {
+                kind,
+                folder,
+                stated,
+                sweeps,
+            });
         }
-        let number = |folder: &str| folder.parse::<i64>().map_or(i64::MAX, i64::abs);
-        known.sort_by_key(|(kind, folder, _)| (*kind, number(folder), folder.clone()));
-        for (kind, folder, sweeps) in known {
-            let name = agent_name(&folder, kind, |name| agents.iter().any(|agent| agent.name == name));
+        let are_named = known.iter().all(|known| known.stated.is_some());
+        known.sort_by_key(|known| known.place(are_named));
+        let names: BTreeMap<String, String> = stated_names(dir, &known)?;
+        for Known {
+            kind,
+            folder,
+            stated,
+            sweeps,
+        } in known
+        {
+            let taken = |name: &str| names.contains_key(name) || agents.iter().any(|agent| agent.name == name);
+            let name = stated.unwrap_or_else(|| agent_name(&folder, kind, taken));
             agents.push(SceneAgent {
                 folder,
                 name,
@@ -136,19 +154,52 @@ impl Walk<'_> {
     }
 }
 
-/// A roadside unit has a negative folder, or says so in the first of its files that can be read.
-fn kind_of(folder: &str, sweeps: &BTreeMap<u64, SweepFiles>) -> AgentKind {
-    let says = || {
-        let mut files = sweeps
-            .values()
-            .take(3)
-            .filter_map(|files| FrameFile::read(&files.labels).ok());
-        files.next().is_some_and(|file| file.is_roadside())
-    };
-    match folder.starts_with('-') || says() {
-        true => AgentKind::Roadside,
-        false => AgentKind::Vehicle,
+/// What is known of an agent before its sweeps are read.
+struct Known {
+    kind: AgentKind,
+    folder: String,
+    /// Its name, where its files say it.
+    stated: Option<String>,
+    sweeps: BTreeMap<u64, SweepFiles>,
+}
+
+impl Known {
+    /// Its place among the agents: vehicles first, by their names where all have one, else by their folders; `cav2` before `cav10`.
+    fn place(&self, are_named: bool) -> (AgentKind, String, i64, String) {
+        let folder = &self.folder;
+        let name = self.stated.as_ref().filter(|_| are_named);
+        let stem = name.map_or("", |name| name.trim_end_matches(|c: char| c.is_ascii_digit()));
+        let number = match name {
+            Some(name) => name[stem.len()..].parse().unwrap_or(i64::MAX),
+            None => folder.parse::<i64>().map_or(i64::MAX, i64::abs),
+        };
+        (self.kind, stem.into(), number, folder.clone())
     }
+}
+
+/// The first label file of an agent that can be read.
+fn first_of(sweeps: &BTreeMap<u64, SweepFiles>) -> Option<FrameFile> {
+    let mut files = sweeps.values().take(3);
+    files.find_map(|files| FrameFile::read(&files.labels).ok())
+}
+
+/// The names that files state, each with the folder of its agent.
+///
+/// # Errors
+/// A name of two agents.
+fn stated_names(scene: &Path, known: &[Known]) -> Result<BTreeMap<String, String>, ImportError> {
+    let mut names = BTreeMap::new();
+    for Known { folder, stated, .. } in known {
+        let Some(name) = stated else { continue };
+        if let Some(other) = names.insert(name.clone(), folder.clone()) {
+            let reason = format!(
+                "agent_name: expected a name for each agent, found `{name}` in the files of `{other}` and of `{folder}`; correct one of \
+                 them, or remove the key from all files of one"
+            );
+            return Err(ImportError::content(scene, reason));
+        }
+    }
+    Ok(names)
 }
 
 /// The scenes below a folder, which may be the data set, a split, or a scene. `roadside`: folders of roadside units, besides negative ones.

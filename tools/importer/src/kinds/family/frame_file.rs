@@ -17,14 +17,10 @@ pub const POSES: [&str; 4] = ["lidar_pose", "lidar_pose0", "true_ego_pose", "tru
 const OF_VEHICLE: [&str; 2] = ["true_ego_pose", "true_ego_pos"];
 /// Keys that say that an agent is a roadside unit.
 pub const ROADSIDE: [&str; 3] = ["RSU", "rsu", "infra"];
-/// Key of the height of the LiDAR over the ground, m, as `realo-lab export` writes it.
-const HEIGHT: &str = "lidar_height";
 /// Key that a frame is not scored, as `realo-lab export` writes it.
 const SCORED: &str = "scored";
 /// Key of the agent's own points on an object, as `realo-lab export` writes it.
 const POINTS: &str = "points";
-/// No LiDAR is higher, m.
-const MOST_HEIGHT: f64 = 50.0;
 /// Keys of the class of an object.
 const CLASSES: [&str; 3] = ["obj_type", "object_type", "class"];
 /// Keys of the objects. Those of V2X-InfraSet have no middle of their boxes: their locations are on the ground.
@@ -33,7 +29,7 @@ const ON_GROUND: &str = "cars";
 
 /// A label file.
 pub struct FrameFile {
-    document: Document,
+    pub(super) document: Document,
     agent: String,
 }
 
@@ -148,23 +144,6 @@ impl FrameFile {
                 "{key}: expected a LiDAR that tilts by at most {MOST_TILT}°, found {tilt:.1}°; expected are roll, yaw and pitch in this order"
             ))),
         }
-    }
-
-    /// Height of the LiDAR over the ground, m, where the file says it.
-    ///
-    /// # Errors
-    /// One that cannot be.
-    pub fn height(&self) -> Result<Option<f64>, ImportError> {
-        let Some(value) = self.document.get(HEIGHT) else {
-            return Ok(None);
-        };
-        let height = value.as_f64().filter(|height| (0.0..=MOST_HEIGHT).contains(height));
-        height.map(Some).ok_or_else(|| {
-            let found = what(value);
-            self.document.error(format!(
-                "{HEIGHT}: expected 0 to {MOST_HEIGHT} m, found {found}; correct it, or remove the key"
-            ))
-        })
     }
 
     /// All objects, in the order of the file.

@@ -1,8 +1,9 @@
 //! Boxes as `autoware_perception_msgs/msg/DetectedObjects`.
 
 use nalgebra::UnitQuaternion;
-use realo_logs::cdr::CdrWriter;
 use realo_schemas::{Box3, Nanos};
+
+use crate::cdr::CdrWriter;
 
 /// Labels of `ObjectClassification`.
 const UNKNOWN: u8 = 0;
@@ -78,9 +79,8 @@ fn pose_covariance(covariance: Option<&[f64; 9]>) -> [f64; 36] {
 
 #[cfg(test)]
 mod tests {
-    use realo_logs::cdr::CdrReader;
-
     use super::*;
+    use crate::cdr::CdrReader;
 
     #[test]
     fn an_object_has_its_pose_speed_and_size() {

@@ -1,0 +1,207 @@
+//! Collective Perception Messages: they decode to the boxes of the log, and what does not fit is refused by name.
+
+use std::collections::BTreeMap;
+use std::fs;
+use std::path::Path;
+
+use realo_logs::{AgentInfo, AgentKind, Log, LogInfo, LogWriter, MAX_GAP, Stream, pose_track};
+use realo_operator::Steps;
+use realo_schemas::geometry::transform_box;
+use realo_schemas::{Box3, Boxes, Name, Payload};
+use realo_transmission::Decoder;
+use realo_transmission::cpm::{Geodetic, received, station_of};
+
+use crate::reading::try_export;
+use crate::world::{AGENTS, MadeUp, SWEEPS, recorded, simulated};
+
+const ORIGIN: &str = "48.1374,11.5755,519";
+
+fn origin() -> Geodetic {
+    ORIGIN.to_string().try_into().unwrap()
+}
+
+/// The messages of an export: agent, stamp and boxes in the map, by the lines of its index.
+fn messages(out: &Path) -> Vec<(String, i64, Vec<Box3>)> {
+    let index = fs::read_to_string(out.join("index.csv")).unwrap();
+    let mut lines = index.lines();
+    assert_eq!(
+        lines.next(),
+        Some("file,agent,station_id,stamp_ns,reference_time_ms,objects,bytes")
+    );
+    let message = |line: &str| {
+        let [file, agent, station, stamp, _, objects, size] = line.split(',').collect::<Vec<_>>().try_into().unwrap();
+        let bytes = fs::read(out.join(file)).unwrap();
+        assert_eq!(size, bytes.len().to_string());
+        let message = received(&bytes, &Name::from("test"), 0, 0).unwrap();
+        assert_eq!(*message.header.agent, format!("station-{station}"));
+        assert_eq!(station, station_of(agent).to_string());
+        let stamp: i64 = stamp.parse().unwrap();
+        assert!((message.header.stamp - stamp).abs() <= 500_000);
+        let Payload::Packet(packet) = &message.payload else {
+            panic!("not a packet")
+        };
+        let mut decoder = Decoder::new(1 << 20).unwrap().with_origin(origin());
+        let (decoded, _) = decoder
+            .message(message.header.clone(), packet, &mut Steps::default())
+            .unwrap();
+        let Payload::Boxes(boxes) = &decoded.payload else {
+            panic!("not boxes")
+        };
+        assert_eq!(objects, boxes.0.len().to_string());
+        (agent.to_string(), stamp, boxes.0.clone())
+    };
+    lines.map(message).collect()
+}
+
+#[test]
+fn each_list_of_a_log_is_a_message_that_decodes_to_its_boxes() {
+    let dir = tempfile::tempdir().unwrap();
+    let path = simulated(dir.path());
+    let log = Log::open(&path).unwrap();
+    for (boxes, stream) in [("truth", Stream::GroundTruth), ("detections", Stream::Detections)] {
+        let out = dir.path().join(boxes);
+        let exported = try_export("cpm", &path, &out, &[("origin", ORIGIN), ("boxes", boxes)], false).unwrap();
+        let said = exported.to_string();
+        assert!(
+            said.contains("roadside units: rsu1") && said.contains("3 messages"),
+            "{said}"
+        );
+        let found = messages(&out);
+        assert_eq!(found.len(), AGENTS.len() * SWEEPS);
+        let mut compared = 0;
+        for name in AGENTS {
+            let track = pose_track(&log, name, Stream::PoseTruth, MAX_GAP).unwrap();
+            let mut reader = log.read_all(&[(name, stream)]).unwrap();
+            while let Some(entry) = reader.next().unwrap() {
+                let stamp = entry.stamp();
+                let (.., after) = found
+                    .iter()
+                    .find(|(agent, of, _)| agent == name && *of == stamp)
+                    .unwrap();
+                let before = entry.boxes().unwrap().0;
+                assert_eq!(before.len(), after.len());
+                let map_from_body = track.at(stamp).unwrap();
+                for (before, after) in before.iter().zip(after) {
+                    let before = transform_box(&map_from_body, before);
+                    for axis in 0..3 {
+                        let apart = (before.center[axis] - after.center[axis]).abs();
+                        assert!(apart < 0.011, "{apart} m");
+                    }
+                    assert!((before.length - after.length).abs() < 0.0501);
+                    compared += 1;
+                }
+            }
+        }
+        assert!(compared > 10, "{compared}");
+    }
+}
+
+/// The log of one vehicle that found these boxes once.
+fn log_of(path: &Path, stamp: i64, boxes: &[Box3], origin: Option<[f64; 3]>) {
+    let agent = AgentInfo {
+        name: "car".into(),
+        kind: AgentKind::Vehicle,
+        footprint: None,
+        sensor: String::new(),
+        sensor_position: None,
+    };
+    let mut info = LogInfo::new("a test", vec![agent]);
+    info.map_origin = origin;
+    let mut log = LogWriter::create(path, &info).unwrap();
+    for step in 0..3 {
+        let at = stamp + step * 50_000_000;
+        log.pose("car", at, at, &recorded(nalgebra::Isometry3::identity()))
+            .unwrap();
+    }
+    log.sweep("car", stamp, stamp + 100_000_000).unwrap();
+    log.detections("car", stamp, stamp + 100_000_000, &Boxes(boxes.to_vec()))
+        .unwrap();
+    log.finish().unwrap();
+}
+
+#[test]
+fn what_a_message_cannot_hold_is_refused_by_name_or_left_out_and_counted() {
+    const STAMP: i64 = 1_767_225_600_000_000_000;
+    let dir = tempfile::tempdir().unwrap();
+    let car = |x: f64| Box3::new("Car", [x, 3.0, 0.8], [4.2, 1.8, 1.6], 0.4);
+    let train = Box3::new("Tram", [10.0, 3.0, 1.5], [31.2, 2.5, 3.5], 0.0);
+    let many: Vec<Box3> = (0..300).map(|index| car(f64::from(index))).collect();
+    let munich = Some([48.1374, 11.5755, 519.0]);
+    let cases: [(&str, i64, Vec<Box3>, Option<[f64; 3]>, &str); 5] = [
+        (
+            "origin",
+            STAMP,
+            vec![car(5.0)],
+            None,
+            "expected `map_origin` in the log or --origin",
+        ),
+        (
+            "many",
+            STAMP,
+            many,
+            munich,
+            "expected at most 255 objects in a message, found 300",
+        ),
+        (
+            "long",
+            STAMP,
+            vec![car(5.0), train],
+            munich,
+            "object 1 (`Tram`): expected",
+        ),
+        ("far", STAMP, vec![car(1400.0)], munich, "object 0 (`Car`): expected"),
+        (
+            "time",
+            5_000_000_000,
+            vec![car(5.0)],
+            munich,
+            "expected a stamp from 2004 to 2143",
+        ),
+    ];
+    let mut said = BTreeMap::new();
+    for (name, stamp, boxes, origin, expected) in cases {
+        let log = dir.path().join(format!("{name}.mcap"));
+        log_of(&log, stamp, &boxes, origin);
+        let out = dir.path().join(name);
+        let error = try_export("cpm", &log, &out, &[], false).unwrap_err();
+        assert!(error.contains(expected) && error.contains(name), "{error}");
+        assert!(!out.exists(), "nothing of it is left");
+        if let Ok(exported) = try_export("cpm", &log, &out, &[("unfit", "drop")], false) {
+            assert_eq!(messages(&out).len(), 1);
+            said.insert(name, (exported.agents[0].boxes, exported.left_out.join("; ")));
+        }
+    }
+    let expected = [
+        (
+            "far",
+            (
+                0,
+                "1 objects farther than 1,310.7 m from their agent, or longer than 25.4 m".to_string(),
+            ),
+        ),
+        (
+            "long",
+            (
+                1,
+                "1 objects farther than 1,310.7 m from their agent, or longer than 25.4 m".to_string(),
+            ),
+        ),
+        (
+            "many",
+            (
+                255,
+                "45 objects of the lowest scores, beyond 255 in a message".to_string(),
+            ),
+        ),
+    ];
+    assert_eq!(said, BTreeMap::from(expected));
+    let none = MadeUp::default().write(dir.path());
+    let error = try_export("cpm", &none, &dir.path().join("none"), &[("origin", ORIGIN)], false).unwrap_err();
+    assert!(error.contains("topic `/AGENT/detections`: expected boxes"), "{error}");
+    let fused = [("origin", ORIGIN), ("boxes", "fused")];
+    let error = try_export("cpm", &none, &dir.path().join("none"), &fused, false).unwrap_err();
+    assert!(
+        error.contains("--boxes fused: expected the recording of a run"),
+        "{error}"
+    );
+}
