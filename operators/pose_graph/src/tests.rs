@@ -62,6 +62,8 @@ fn drifting(truth: &[Isometry3<f64>]) -> PoseGraph {
     };
     for at in 1..truth.len() {
         let mut edge = edge(truth, at - 1, at, None);
+        // It says of itself how far it is off.
+        edge.information = sure(0.07, 2e-3);
         edge.from_from_to.translation.vector *= 1.01;
         edge.from_from_to.rotation = turned(&edge.from_from_to.rotation, &Vector3::new(0.0, 0.0, 1e-3));
         let next = graph.nodes[at - 1] * edge.from_from_to;
@@ -126,7 +128,8 @@ fn loops_take_the_drift_out_and_a_wrong_one_is_let_go() {
         "{wrong} {right:?}"
     );
     let left = worst(&graph.nodes, &truth);
-    assert!(left[0] < 0.7 && left[0] < 0.3 * drift[0], "{drift:?} {left:?}");
+    // 1 % of the circle's 80 m stays: no loop tells how long a metre is.
+    assert!(left[0] < 0.9 && left[0] < 0.3 * drift[0], "{drift:?} {left:?}");
     // Where it was before it is again.
     let [place, turn] = off(&graph.nodes[20], &graph.nodes[60]);
     assert!(place < 0.05 && turn < 0.01, "{place} {turn}");
