@@ -153,7 +153,8 @@ pub(crate) fn anchored(keyframes: &[Keyframe], track: &PoseTrack, fixes: &[Fix])
 
 fn mean(keyframe: usize, group: &[(&Fix, Vector3<f64>)], period: f64) -> Anchored {
     let count = group.len() as f64;
-    let sum = |of: &dyn Fn(&(&Fix, Vector3<f64>)) -> Vector3<f64>| group.iter().map(of).sum::<Vector3<f64>>();
+    let antennas: Vector3<f64> = group.iter().map(|(_, antenna)| antenna).sum();
+    let positions: Vector3<f64> = group.iter().map(|(fix, _)| fix.position).sum();
     let seconds = count * period;
     let mut variance = Vector3::zeros();
     for (fix, _) in group {
@@ -167,8 +168,8 @@ fn mean(keyframe: usize, group: &[(&Fix, Vector3<f64>)], period: f64) -> Anchore
     }
     Anchored {
         keyframe,
-        antenna: sum(&|(_, antenna)| *antenna) / count,
-        position: sum(&|(fix, _)| fix.position) / count,
+        antenna: antennas / count,
+        position: positions / count,
         has_height: group.iter().all(|(fix, _)| fix.has_height),
         variance: variance / count,
         said: group

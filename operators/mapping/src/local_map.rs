@@ -11,11 +11,10 @@ const ALIGNED_M: f64 = 0.5;
 /// A voxel is taken with so many sampled points.
 const MIN_POINTS: u32 = 5;
 
-/// How sweeps in level frames are registered to maps of others.
+/// How sweeps are registered to maps of others.
 pub(crate) fn registrar() -> RegistrarSettings {
     RegistrarSettings {
         sample_m: ALIGNED_M,
-        is_level: true,
         ..RegistrarSettings::default()
     }
 }

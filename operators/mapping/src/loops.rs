@@ -21,8 +21,8 @@ const MIN_SHARE: f64 = 0.35;
 const REGISTRATION_M: f64 = 0.02;
 /// An error so many times as large as a loop edge says has a quarter of the weight.
 const WIDTH: f64 = 3.0;
-/// Of x, y, z and the heading so many must be told: a street between walls keeps one.
-const MIN_DIRECTIONS: usize = 3;
+/// Fewer directions than these say nothing worth an edge.
+const MIN_DIRECTIONS: usize = 4;
 
 /// All keyframes, with their poses in `map` as they are known now.
 pub(crate) struct Nodes<'a> {

@@ -3,11 +3,10 @@
 use nalgebra::{Isometry3, Matrix6, Vector3};
 use realo_geodesy::{Geodetic, LocalFrame};
 use realo_registration::{AlignError, Alignment, Registrar, Sampler, Search, SettingError, VoxelMap};
-use realo_schemas::geometry::{normalize_yaw, yaw_of};
+use realo_schemas::geometry::yaw_of;
 use realo_schemas::{Motion, Nanos, PointCloud};
 use realo_state_estimation::{
-    Estimate, Estimator, Measured, Mounting, Sample, ScanPose, Settings, SettingsError, deskewed, level, level_pose,
-    unit_of,
+    Estimate, Estimator, Measured, Mounting, Sample, ScanPose, Settings, SettingsError, deskewed, level_pose, unit_of,
 };
 
 use crate::anchors::Fixes;
@@ -22,7 +21,7 @@ const SET_OUT: Nanos = 400_000_000;
 /// A guess that is known to so much is tracked, m and rad; around any other a wider neighbourhood is searched.
 const TRACKED: [f64; 2] = [0.6, 0.035];
 /// Standard deviations that are added to a sweep's pose, m and rad.
-const SWEEP_ERRORS: [f64; 2] = [0.01, 4e-4];
+const SWEEP_ERRORS: [f64; 2] = [0.02, 8e-4];
 /// A keyframe's points: one for each cell of this side, m.
 const SAMPLE_M: f64 = 0.3;
 /// Information of the place where it sets out, which is none but by definition.
@@ -97,8 +96,6 @@ pub struct Odometry {
     registrar: Registrar,
     sampler: Sampler,
     local: Option<VoxelMap>,
-    /// Of registered poses from the filter's.
-    offset: Offset,
     /// When the first sample came after the last break.
     since: Option<Nanos>,
     /// The piece that goes on.
@@ -124,7 +121,6 @@ impl Odometry {
             antenna: Vector3::zeros(),
             axle: Vector3::zeros(),
             local: None,
-            offset: Offset::default(),
             since: None,
             piece: None,
             pieces: Vec::new(),
@@ -210,7 +206,8 @@ impl Odometry {
             Some(Err(taken)) => *taken,
         };
         let found = found.and_then(Result::ok);
-        let pose = self.follow(stamp, &estimate, found.as_ref());
+        self.follow(stamp);
+        let pose = level_pose(&estimate);
         if taken != Taken::FewPoints && self.is_keyframe(&pose) {
             self.keep(&estimate, &pose, cloud, found.as_ref())?;
         }
@@ -238,7 +235,6 @@ impl Odometry {
     /// Ends the piece that went on.
     fn break_off(&mut self) {
         self.local = None;
-        self.offset = Offset::default();
         self.pieces
             .extend(self.piece.take().filter(|piece| !piece.keyframes.is_empty()));
     }
@@ -269,34 +265,22 @@ impl Odometry {
         Some(Err(Taken::Unfit))
     }
 
-    /// Notes where the body was since the last sweep, and gives its pose at this one.
-    ///
-    /// That is the registered pose. The filter's own follows it late by what its other measurements say, and a local map of such poses would
-    /// drift with it.
-    fn follow(&mut self, stamp: Nanos, estimate: &Estimate, found: Option<&Alignment>) -> Isometry3<f64> {
-        let by_filter = level_pose(estimate);
-        let offset = found.map_or(self.offset, |found| Offset::between(&by_filter, &found.map_from_body));
+    /// Notes where the body was since the last sweep.
+    fn follow(&mut self, stamp: Nanos) {
         let last = self
             .piece
             .as_ref()
             .and_then(|piece| piece.track.last().map(|(at, _)| *at));
-        let from = last.unwrap_or(stamp);
-        let mut poses = Vec::new();
-        let mut at = from.saturating_add(STEP);
+        let mut at = last.map_or(stamp, |last| last.saturating_add(STEP));
+        let mut stamps = Vec::new();
         while at < stamp {
-            let share = (at - from) as f64 / (stamp - from) as f64;
-            let between = self.offset.towards(&offset, share);
-            poses.extend(
-                self.estimate_at(at)
-                    .map(|estimate| (at, between.of(&level_pose(&estimate)))),
-            );
+            stamps.push(at);
             at += STEP;
         }
-        let pose = offset.of(&by_filter);
-        poses.push((stamp, pose));
+        stamps.push(stamp);
+        let pose = |at: Nanos| self.estimate_at(at).map(|estimate| (at, level_pose(&estimate)));
+        let poses: Vec<_> = stamps.into_iter().filter_map(pose).collect();
         self.piece.get_or_insert_default().track.extend(poses);
-        self.offset = offset;
-        pose
     }
 
     /// Whether a pose is far enough from the last keyframe.
@@ -334,7 +318,7 @@ impl Odometry {
         if let Some(estimate) = newest
             && self.piece.is_some()
         {
-            self.follow(estimate.stamp, &estimate, None);
+            self.follow(estimate.stamp);
         }
         self.break_off();
         let faults = self.estimator.as_ref().map(Estimator::faults);
@@ -345,37 +329,6 @@ impl Odometry {
             faults: faults.unwrap_or_default(),
             counts: self.counts,
         }
-    }
-}
-
-/// How a level pose is off another one: m, rad.
-#[derive(Clone, Copy, Debug, Default)]
-struct Offset {
-    shift: Vector3<f64>,
-    turn: f64,
-}
-
-impl Offset {
-    fn between(from: &Isometry3<f64>, to: &Isometry3<f64>) -> Self {
-        Offset {
-            shift: to.translation.vector - from.translation.vector,
-            turn: normalize_yaw(yaw_of(&to.rotation) - yaw_of(&from.rotation)),
-        }
-    }
-
-    /// A share of the way to another offset.
-    fn towards(&self, other: &Offset, share: f64) -> Self {
-        Offset {
-            shift: self.shift.lerp(&other.shift, share),
-            turn: self.turn + share * (other.turn - self.turn),
-        }
-    }
-
-    fn of(&self, pose: &Isometry3<f64>) -> Isometry3<f64> {
-        level(
-            &(pose.translation.vector + self.shift),
-            yaw_of(&pose.rotation) + self.turn,
-        )
     }
 }
 

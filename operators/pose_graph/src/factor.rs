@@ -132,11 +132,13 @@ impl Level {
         let up = nodes[self.node].rotation * Vector3::z();
         let certain = 1.0 / (self.sigma * self.sigma);
         let zero = Matrix3::zeros();
+        let mut leaning = -up.cross_matrix();
+        leaning.row_mut(2).fill(0.0);
         Linear {
             // How far z leans along x and y.
             residual: Vector6::new(0.0, 0.0, 0.0, up.x, up.y, 0.0),
             information: Matrix6::from_diagonal(&Vector6::new(0.0, 0.0, 0.0, certain, certain, 0.0)),
-            first: (self.node, blocks([[zero, zero], [zero, -up.cross_matrix()]])),
+            first: (self.node, blocks([[zero, zero], [zero, leaning]])),
             second: None,
             kernel: None,
         }

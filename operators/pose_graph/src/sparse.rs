@@ -68,8 +68,11 @@ impl BlockMatrix {
 pub(crate) struct BlockCholesky {
     order: Vec<usize>,
     /// Of each column: its block on the diagonal, and those below by rising row.
-    columns: Vec<(Matrix6<f64>, Vec<(usize, Matrix6<f64>)>)>,
+    columns: Vec<(Matrix6<f64>, Below)>,
 }
+
+/// Blocks below the diagonal, each with its row.
+type Below = Vec<(usize, Matrix6<f64>)>;
 
 impl BlockCholesky {
     /// Factorises; `None` unless the matrix is positive definite.
@@ -86,7 +89,7 @@ impl BlockCholesky {
         for at in 0..order.len() {
             let mut rows = std::mem::take(&mut left.columns[at]);
             let diagonal = rows.remove(&at)?.cholesky()?.unpack();
-            let mut below = Vec::with_capacity(rows.len());
+            let mut below = Below::with_capacity(rows.len());
             for (row, block) in rows {
                 below.push((row, diagonal.solve_lower_triangular(&block.transpose())?.transpose()));
             }

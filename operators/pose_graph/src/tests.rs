@@ -11,6 +11,9 @@ fn pose(shift: [f64; 3], turn: [f64; 3]) -> Isometry3<f64> {
     Isometry3::from_parts(Translation3::from(Vector3::from(shift)), turn)
 }
 
+/// A factor at some poses.
+type Factor<'a> = &'a dyn Fn(&[Isometry3<f64>]) -> Linear;
+
 /// Information of a standard deviation of places, m, and of turns, rad.
 fn sure(place: f64, turn: f64) -> Matrix6<f64> {
     let [p, t] = [place, turn].map(|sigma| 1.0 / (sigma * sigma));
@@ -62,6 +65,8 @@ fn drifting(truth: &[Isometry3<f64>]) -> PoseGraph {
     };
     for at in 1..truth.len() {
         let mut edge = edge(truth, at - 1, at, None);
+        // It says of itself how far it is off.
+        edge.information = sure(0.07, 2e-3);
         edge.from_from_to.translation.vector *= 1.01;
         edge.from_from_to.rotation = turned(&edge.from_from_to.rotation, &Vector3::new(0.0, 0.0, 1e-3));
         let next = graph.nodes[at - 1] * edge.from_from_to;
@@ -126,7 +131,8 @@ fn loops_take_the_drift_out_and_a_wrong_one_is_let_go() {
         "{wrong} {right:?}"
     );
     let left = worst(&graph.nodes, &truth);
-    assert!(left[0] < 0.7 && left[0] < 0.3 * drift[0], "{drift:?} {left:?}");
+    // 1 % of the circle's 80 m stays: no loop tells how long a metre is.
+    assert!(left[0] < 0.9 && left[0] < 0.3 * drift[0], "{drift:?} {left:?}");
     // Where it was before it is again.
     let [place, turn] = off(&graph.nodes[20], &graph.nodes[60]);
     assert!(place < 0.05 && turn < 0.01, "{place} {turn}");
@@ -140,8 +146,8 @@ fn positions_place_a_drive_and_jumps_of_them_do_not() {
     let antenna = Vector3::new(-0.5, 0.0, 1.6);
     let mut draw = Draw::new(8);
     let mut noise = || draw.below(2_000_000) as f64 * 1e-6 - 1.0;
-    for at in 0..80 {
-        let mut position = (truth[at] * nalgebra::Point3::from(antenna)).coords;
+    for (at, pose) in truth.iter().enumerate() {
+        let mut position = (pose * nalgebra::Point3::from(antenna)).coords;
         position += Vector3::new(noise(), noise(), noise()) * 0.2;
         if at % 7 == 3 {
             position += Vector3::new(9.0, -6.0, 4.0);
@@ -233,7 +239,7 @@ proptest! {
         let edge = Edge { from: 0, to: 1, from_from_to: nodes[0].inv_mul(&nodes[1]) * target, information: Matrix6::identity(), kernel: None };
         let anchor = Anchor { node: 0, antenna: away.into(), position: Vector3::zeros(), information: Vector3::repeat(1.0), kernel: None };
         let prior = Prior { node: 0, map_from_body: nodes[0] * target, information: Vector6::repeat(1.0) };
-        let factors: [&dyn Fn(&[Isometry3<f64>]) -> Linear; 4] = [
+        let factors: [Factor; 4] = [
             &|nodes| edge.linear(nodes),
             &|nodes| anchor.linear(nodes),
             &|nodes| Level { node: 0, sigma: 1.0 }.linear(nodes),

@@ -28,15 +28,14 @@ pub(crate) struct Observed {
 
 impl Observed {
     /// Solves the normal equations; along directions whose share is below `degenerate_share` there is no step (Zhang et al. 2016).
-    /// `None` without any weight. `is_level`: roll and pitch are known, so nothing tells them.
-    pub fn new(sums: &Sums, degenerate_share: f64, is_level: bool) -> Option<Self> {
+    /// `None` without any weight.
+    pub fn new(sums: &Sums, degenerate_share: f64) -> Option<Self> {
         let lever_m = (sums.lever / sums.weight).sqrt();
         // Both are false for what is not a number.
         if !(sums.weight > 0.0 && lever_m > 0.0) {
             return None;
         }
-        let tilt = if is_level { 0.0 } else { 1.0 / lever_m };
-        let scale = [1.0, 1.0, 1.0, tilt, tilt, 1.0 / lever_m];
+        let scale = [1.0, 1.0, 1.0, 1.0 / lever_m, 1.0 / lever_m, 1.0 / lever_m];
         let mut matrix = sums.matrix();
         for (i, row) in matrix.iter_mut().enumerate() {
             for (j, value) in row.iter_mut().enumerate() {

@@ -43,8 +43,6 @@ pub struct RegistrarSettings {
     pub stop_deg: f64,
     /// Directions that a smaller share of the points tells keep the guess; 0 to 1.
     pub degenerate_share: f64,
-    /// Whether roll and pitch are those of the guess, as between level frames: what bends far points then does not lift the body.
-    pub is_level: bool,
 }
 
 impl Default for RegistrarSettings {
@@ -58,7 +56,6 @@ impl Default for RegistrarSettings {
             stop_m: 1e-3,
             stop_deg: 0.01,
             degenerate_share: 0.01,
-            is_level: false,
         }
     }
 }
@@ -292,8 +289,7 @@ impl Registrar {
             };
             progress.sums = sums(stage.map, &placed, sample, &kernel);
             progress.iterations += 1;
-            let Some(observed) = Observed::new(&progress.sums, self.settings.degenerate_share, self.settings.is_level)
-            else {
+            let Some(observed) = Observed::new(&progress.sums, self.settings.degenerate_share) else {
                 return;
             };
             let step = limited(observed.step, stage.map.info().voxel_m);
@@ -309,7 +305,7 @@ impl Registrar {
 
     fn alignment(&self, progress: Progress, points: usize) -> Alignment {
         let sums = &progress.sums;
-        let observed = Observed::new(sums, self.settings.degenerate_share, self.settings.is_level);
+        let observed = Observed::new(sums, self.settings.degenerate_share);
         let variance = (sums.square / sums.weight).max(MIN_VARIANCE);
         let inliers = f64::from(sums.inliers);
         let [points_off, met_off, inliers_off] =
