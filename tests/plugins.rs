@@ -9,6 +9,8 @@ mod guide;
 mod live;
 #[path = "plugins/maps.rs"]
 mod maps;
+#[path = "plugins/onnx.rs"]
+mod onnx;
 #[path = "plugins/python.rs"]
 mod python;
 #[path = "plugins/ray.rs"]

@@ -353,7 +353,7 @@ fn a_run_that_goes_on_after_its_log_names_the_nodes_that_have_not_ended() {
 fn hanging(folder: &Path, declares_ports: bool) -> PathBuf {
     let [hello, marker, program] = ["hello", "marker", "plugin.sh"].map(|name| folder.join(name));
     let own = Registration::operator::<realo_fusion_boxes::FusionBoxes>();
-    let words = hello::write(&own, false).expect("it has ports");
+    let words = hello::write(&own, &[], false).expect("it has ports");
     frame::write_first(&mut fs::File::create(&hello).expect("a file can be made"), &words).expect("it can be written");
     let answer = match declares_ports {
         true => format!("cat '{}'; head -c 1 > '{}'", hello.display(), marker.display()),

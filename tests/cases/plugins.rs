@@ -174,7 +174,7 @@ pub fn scripted(name: &str, seconds: &str, sweeps: i64, fails: impl Fn(i64) -> b
     let folder = common::folder(&format!("scripted-{name}"));
     let [hello_file, replies, rest, program] = ["hello", "replies", "rest", "plugin.sh"].map(|name| folder.join(name));
     let own = Registration::operator::<realo_fusion_boxes::FusionBoxes>();
-    let words = hello::write(&own, false).expect("it has ports");
+    let words = hello::write(&own, &[], false).expect("it has ports");
     frame::write_first(&mut fs::File::create(&hello_file).expect("a file can be made"), &words).expect("it is written");
     let write = |file: &Path, all: &[Reply]| {
         let mut file = fs::File::create(file).expect("a file can be made");

@@ -6,8 +6,10 @@ use std::sync::OnceLock;
 
 use serde_json::Value;
 
+use crate::common::machine::decided;
 use crate::common::{self, folder, json, root, simulated, text};
-use crate::{alone, build, example, python, shipped};
+use crate::onnx::realo_onnx;
+use crate::{alone, example, python, shipped};
 
 /// Sweeps with points of three agents.
 fn log() -> PathBuf {
@@ -207,14 +209,26 @@ fn the_time_that_torch_takes_is_charged_in_virtual_time() {
     }
 }
 
-/// The program of `examples/onnx`, which has a target folder, lock and step of CI of its own.
-fn realo_onnx() -> Option<PathBuf> {
-    let program = build::workspace_target().join("release/realo-onnx");
-    if !program.is_file() {
-        skipped::skip("`cargo build --release --manifest-path examples/onnx/Cargo.toml --target-dir target`");
-        return None;
-    }
-    Some(program)
+#[test]
+fn torch_plugins_give_the_same_boxes_on_dora() {
+    decided(torch_on_dora);
+}
+
+fn torch_on_dora() {
+    let Some(bin) = with_torch() else {
+        return;
+    };
+    let outcome = |out: &Path| {
+        let mut result = json(&out.join("result.json"));
+        ["frames", "links", "accuracy"].map(|part| result[part].take())
+    };
+    let graph = script("torch_attfuse.yml");
+    let [expected, found] = ["torch_dora_virtual", "torch_dora"].map(folder);
+    run(&bin, &expected, &graph, &["--mode", "virtual"]);
+    let _alone = alone();
+    // Slowly: no map is late because the network takes its time.
+    run(&bin, &found, &graph, &["--rate", "0.05"]);
+    assert_eq!(outcome(&found), outcome(&expected));
 }
 
 #[test]

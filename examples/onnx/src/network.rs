@@ -6,7 +6,7 @@ use std::io::Read;
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use realo_operator::Settings;
+use realo_operator::{KnownMap, Settings};
 use rten::{DataType, Dimension, Model, ModelOptions, NodeId, RunOptions, ThreadPool, Value, ValueOrView, ValueType};
 use rten_tensor::Tensor;
 use rten_tensor::prelude::*;
@@ -189,6 +189,25 @@ impl Network {
     /// A dimension of an input, where the file fixes it; counted from the last one.
     pub fn fixed_input(&self, input: &str, from_last: usize) -> Option<usize> {
         fixed(self.inputs.get(input)?, from_last)
+    }
+
+    /// What the file says of an input's map: rows, columns and channels where it fixes them.
+    pub fn known_input(&self, input: &str) -> KnownMap {
+        let size = [1, 0, 2].map(|from_last| self.fixed_input(input, from_last));
+        self.known(size, "input", input)
+    }
+
+    /// What the file says of an output's map, as [`Network::known_input`].
+    pub fn known_output(&self, output: &str) -> KnownMap {
+        let size = [1, 0, 2].map(|from_last| self.fixed_output(output, from_last));
+        self.known(size, "output", output)
+    }
+
+    fn known(&self, size: [Option<usize>; 3], side: &str, name: &str) -> KnownMap {
+        KnownMap {
+            size: size.map(|count| count.and_then(|count| u32::try_from(count).ok())),
+            by: format!("{}, {side} `{name}`", self.path.display()),
+        }
     }
 
     /// A dimension of an output, where the file fixes it; counted from the last one.

@@ -2,7 +2,7 @@
 
 use realo_bev::counters::{EMPTY_SWEEPS, OVER_LIMIT_BOXES, OVER_POINTS, count_empty};
 use realo_fusion::{Input as FusionInput, Pairing};
-use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings};
+use realo_operator::{Counter, Describe, Error, Inputs, KnownMap, Operator, Outputs, Settings};
 use realo_schemas::{Boxes, FeatureMap, Header, Kind, PointCloud};
 use serde::{Deserialize, Serialize};
 
@@ -83,12 +83,23 @@ pub enum Send {
 
 /// Makes BEV maps of sweeps by an ONNX file.
 #[derive(Describe)]
-#[stage(name = "onnx-encoder", settings = EncoderSettings, input = Sweeps, output = Encoded, counters = cloud::COUNTERS)]
+#[stage(name = "onnx-encoder", settings = EncoderSettings, input = Sweeps, output = Encoded, counters = cloud::COUNTERS, maps = encoder_maps)]
 pub struct Encoder {
     network: Network,
     reader: Reader,
     range: [f64; 6],
     send: Send,
+}
+
+/// Sizes of maps that files fix; what cannot be loaded is said by `build`.
+type Sizes = Vec<(&'static str, KnownMap)>;
+
+fn encoder_maps(settings: &EncoderSettings) -> Sizes {
+    let Ok(network) = Network::load(&settings.onnx, cloud::INPUTS, &[FEATURES]) else {
+        return Vec::new();
+    };
+    let made = network.known_output(FEATURES.name);
+    vec![("features", made.clone()), ("own", made)]
 }
 
 impl Operator for Encoder {
@@ -157,13 +168,25 @@ pub struct FusionSettings {
 
 /// Fuses BEV maps by an ONNX file.
 #[derive(Describe)]
-#[stage(name = "onnx-fusion", settings = FusionSettings, input = FusionInput<FeatureMap>, output = Fused, counters = realo_fusion::COUNTERS)]
+#[stage(name = "onnx-fusion", settings = FusionSettings, input = FusionInput<FeatureMap>, output = Fused, counters = realo_fusion::COUNTERS, maps = fusion_maps)]
 pub struct Fusion {
     network: Network,
     /// Agents, the ego included, of which the file takes exactly so many.
     agents: Option<usize>,
     limit: Option<usize>,
     pairing: Pairing<FeatureMap>,
+}
+
+fn fusion_maps(settings: &FusionSettings) -> Sizes {
+    let Ok(network) = Network::load(&settings.onnx, &[MAPS, MASK], &[FEATURES]) else {
+        return Vec::new();
+    };
+    let taken = network.known_input(MAPS.name);
+    vec![
+        ("ego", taken.clone()),
+        ("selections", taken),
+        ("features", network.known_output(FEATURES.name)),
+    ]
 }
 
 impl Operator for Fusion {
@@ -232,10 +255,16 @@ pub struct HeadSettings {
 
 /// Finds boxes in BEV maps by an ONNX file.
 #[derive(Describe)]
-#[stage(name = "onnx-head", settings = HeadSettings, input = Maps, output = Found, counters = boxes::COUNTERS)]
+#[stage(name = "onnx-head", settings = HeadSettings, input = Maps, output = Found, counters = boxes::COUNTERS, maps = head_maps)]
 pub struct Head {
     network: Network,
     decoder: Decoder,
+}
+
+fn head_maps(settings: &HeadSettings) -> Sizes {
+    let network = Network::load(&settings.onnx, &[FEATURES], boxes::OUTPUTS);
+    let known = network.map(|network| ("features", network.known_input(FEATURES.name)));
+    known.into_iter().collect()
 }
 
 impl Operator for Head {

@@ -490,6 +490,24 @@ fn a_map_of_other_channels_is_refused_with_what_was_expected() {
 }
 
 #[test]
+fn sizes_that_a_file_fixes_are_known_before_a_run() {
+    let folder = folder();
+    let head = of_features(folder.path(), "8", "1");
+    let maps = (Registration::operator::<Head>().maps)(&args(&head, &["role=head", "classes=Car"]));
+    let [(port, map)] = &maps[..] else { panic!("{maps:?}") };
+    assert_eq!((*port, map.size), ("features", [None, None, Some(8)]));
+    assert_eq!(map.by, format!("{}, input `features`", head.display()));
+    let fusion = of_maps(folder.path(), "agents", false);
+    let maps = (Registration::operator::<Fusion>().maps)(&args(&fusion, &["role=fusion"]));
+    let sizes: Vec<_> = maps.iter().map(|(port, map)| (*port, map.size)).collect();
+    let all = [Some(4), Some(6), Some(2)];
+    assert_eq!(sizes, [("ego", all), ("selections", all), ("features", all)]);
+    assert_eq!(maps[2].1.differs(&map.clone()), Some(("channels", 2, 8)), "{maps:?}");
+    let none = (Registration::operator::<Head>().maps)(&args(Path::new("nowhere.onnx"), &["role=head"]));
+    assert!(none.is_empty(), "{none:?}");
+}
+
+#[test]
 fn a_detector_goes_from_points_to_boxes() {
     let folder = folder();
     let file = File::default().input("points", Kind::Float, &["n", "4"]);

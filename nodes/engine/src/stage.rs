@@ -319,6 +319,7 @@ mod tests {
         defaults: Default::default,
         check: |_| Ok(()),
         examine: |_| Ok(()),
+        maps: |_| Vec::new(),
         build: |_| Err("built by the test".into()),
     };
 

@@ -34,7 +34,7 @@ use std::path::{Path, PathBuf};
 use serde_yaml::Mapping;
 
 pub use audit::audit;
-pub use check::{Answer, Finding, Severity, misdeclared, validate, validate_asking, written_findings};
+pub use check::{Answer, Finding, Severity, misdeclared, unfit_maps, validate, validate_asking, written_findings};
 pub use error::GraphError;
 pub use expand::{OUTSIDE, hosted};
 pub use flat::{FlatGraph, FlatNode, Input, InputSource, Setting};

@@ -166,6 +166,7 @@ mod tests {
             defaults: Default::default,
             check: |_| Ok(()),
             examine: |_| Ok(()),
+            maps: |_| Vec::new(),
             build: |_| Err("it is never built".into()),
         }]);
         let around = |port: &str| {

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use realo_engine::Wiring;
-use realo_graph::{FlatGraph, FlatNode, OUTSIDE, misdeclared};
+use realo_graph::{FlatGraph, FlatNode, OUTSIDE, misdeclared, unfit_maps};
 use realo_operator::{Built, PortId, Registration, Registry, Role};
 
 use crate::{Child, Program, Tap};
@@ -53,9 +53,11 @@ impl Stages {
         order.sort_by_key(|index| ranks[*index]);
         let mut stages = Stages::default();
         let mut back = Vec::new();
-        for node in order.into_iter().map(|index| &graph.nodes[index]) {
+        let mut known: Vec<Option<&'static Registration>> = vec![None; graph.nodes.len()];
+        for (at, node) in order.into_iter().map(|index| (index, &graph.nodes[index])) {
             let folder = graph.file.parent().unwrap_or(Path::new("/"));
             let (registration, program) = identify(node, folder, registry)?;
+            known[at] = Some(registration);
             let (outside, inside): (Vec<_>, Vec<_>) = wires(node)?.into_iter().partition(|wire| wire.1 == OUTSIDE);
             let is_feedback = |port: &str| registration.input(port).is_some_and(|(_, port)| port.feedback);
             let (returning, inside): (Vec<_>, Vec<_>) = inside.into_iter().partition(|wire| is_feedback(wire.0));
@@ -72,7 +74,10 @@ impl Stages {
         for (id, (port, source, output)) in back {
             stages.wiring.feed_back(id, port, source, output)?;
         }
-        Ok(stages)
+        match unfit_maps(graph, &known) {
+            unfit if unfit.is_empty() => Ok(stages),
+            unfit => Err(unfit.iter().map(ToString::to_string).collect::<Vec<_>>().join("\n  ")),
+        }
     }
 
     /// Adds a stage; `inputs` are (port, source stage id, source port).
@@ -263,6 +268,7 @@ mod tests {
         defaults: Default::default,
         check: |_| Ok(()),
         examine: |_| Ok(()),
+        maps: |_| Vec::new(),
         build: |args| match args {
             [] => Ok(Built::Operator(Box::new(Nothing))),
             args => Err(args.join(" ").into()),

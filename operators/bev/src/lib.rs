@@ -5,6 +5,7 @@ mod computing;
 pub mod counters;
 mod decoder;
 mod engine;
+mod known;
 
 use std::borrow::Cow;
 
@@ -17,6 +18,7 @@ use realo_schemas::{DType, FeatureMap, Name, feature_map};
 pub use computing::Computing;
 pub use decoder::{Decoded, Decoder};
 pub use engine::{Device, Engine, EngineError};
+pub use known::known_map;
 
 /// A map that does not fit the model that is to read it.
 #[derive(Debug, thiserror::Error)]

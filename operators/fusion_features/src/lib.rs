@@ -10,12 +10,12 @@
 use std::path::PathBuf;
 
 use nalgebra::Isometry3;
-use realo_bev::{Computing, Engine, Maps, Read};
+use realo_bev::{Computing, Engine, Maps, Read, known_map};
 use realo_fusion::{Collaborator, Input, Pairing};
 use realo_kernels::agents::Agent;
 use realo_kernels::warp::Warp;
 use realo_nn::layers::Layers;
-use realo_operator::{Describe, Error, Operator, Outputs, Settings};
+use realo_operator::{Describe, Error, KnownMap, Operator, Outputs, Settings};
 use realo_schemas::{Elements, FeatureMap, Header, Name, Nanos};
 use serde::{Deserialize, Serialize};
 
@@ -70,7 +70,7 @@ pub enum FeatureError {
 
 /// Intermediate fusion: brings collaborators' BEV maps to the ego's and fuses them.
 #[derive(Describe)]
-#[stage(input = Input<FeatureMap>, counters = realo_fusion::COUNTERS)]
+#[stage(input = Input<FeatureMap>, counters = realo_fusion::COUNTERS, maps = maps)]
 pub struct FusionFeatures {
     engine: Engine,
     maps: Maps,
@@ -87,6 +87,12 @@ pub struct FusionFeatures {
 pub enum Output {
     /// One map for the heads, in the ego's frame.
     Features(Header, FeatureMap),
+}
+
+/// The size of the map that it sends.
+fn maps(settings: &Settings) -> Vec<(&'static str, KnownMap)> {
+    let fused = known_map(&settings.model, |layers| layers.fused);
+    fused.into_iter().map(|map| ("features", map)).collect()
 }
 
 impl Operator for FusionFeatures {

@@ -30,7 +30,7 @@ pub use books::{Books, Durations, InputBooks, NodeBooks, Tally};
 pub use counter::{Counter, Counts, Loss, Meaning, Share};
 pub use draw::{Draws, StreamKey};
 pub use operator::{AnyOutput, Describe, Error, Gateway, Made, Operator, Outputs, Sink, Source, Waker};
-pub use port::{Class, Port, PortId, Queue, Side, WrongType};
+pub use port::{Class, KnownMap, Port, PortId, Queue, Side, WrongType};
 pub use realo_operator_derive::{Describe, Inputs, Outputs, Settings};
 pub use registry::{AnyGateway, AnyOperator, AnySink, AnySource, Built, Registration, Registry, Role};
 // What derived code names.

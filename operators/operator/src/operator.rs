@@ -6,7 +6,7 @@ use std::{fmt, mem};
 use realo_schemas::report::{Channel, Crossing, Entry, Fate, Fated, SensorClock, Traffic, Use};
 use realo_schemas::{Clock, Header, Kind, Message, Name, Nanos};
 
-use crate::{Counter, Counts, PortId, StageInputs, StageOutputs, StageSettings, Steps};
+use crate::{Counter, Counts, KnownMap, PortId, StageInputs, StageOutputs, StageSettings, Steps};
 
 /// Why an operator or node could not go on with a message or a configuration.
 pub type Error = Box<dyn std::error::Error + Send + Sync>;
@@ -33,6 +33,13 @@ pub trait Describe {
     fn examine(settings: &Self::Settings) -> Result<(), Error> {
         let _ = settings;
         Ok(())
+    }
+
+    /// The BEV maps that its ports carry, by the ports' names, as far as settings and the files that they name say it before a run.
+    /// What cannot be read is said by `build`.
+    fn maps(settings: &Self::Settings) -> Vec<(&'static str, KnownMap)> {
+        let _ = settings;
+        Vec::new()
     }
 }
 

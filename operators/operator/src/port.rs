@@ -77,6 +77,28 @@ fn names(types: &[PayloadType]) -> String {
     names.join(" or ")
 }
 
+/// What is known of the BEV maps of a port before a run.
+#[derive(Clone, Debug, Default, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
+#[serde(deny_unknown_fields)]
+pub struct KnownMap {
+    /// Rows, columns and channels; `None` where any number may come.
+    pub size: [Option<u32>; 3],
+    /// What says so: a file, and which of its inputs or outputs.
+    pub by: String,
+}
+
+impl KnownMap {
+    /// What their numbers are of.
+    pub const DIMENSIONS: [&str; 3] = ["rows", "columns", "channels"];
+
+    /// The first dimension in which two maps differ, with both numbers.
+    pub fn differs(&self, other: &KnownMap) -> Option<(&'static str, u32, u32)> {
+        let pairs = self.size.iter().zip(&other.size).zip(Self::DIMENSIONS).rev();
+        let mut known = pairs.filter_map(|((own, other), name)| Some((name, (*own)?, (*other)?)));
+        known.find(|(_, own, other)| own != other)
+    }
+}
+
 /// One input or output of an operator or node.
 #[derive(Clone, Copy, Debug)]
 pub struct Port {
@@ -108,6 +130,8 @@ pub struct Port {
     /// Whether it brings word of what the stage itself sent: the order of a graph does not go along its wire, and the stage ends
     /// without waiting for it (inputs).
     pub feedback: bool,
+    /// What a program says of the BEV maps that it carries; stages of this process say it by [`Registration::maps`](crate::Registration::maps).
+    pub map: Option<&'static KnownMap>,
 }
 
 impl Port {
@@ -127,6 +151,7 @@ impl Port {
             ends_early: false,
             wire: None,
             feedback: false,
+            map: None,
         }
     }
 

@@ -4,8 +4,8 @@ use serde_json::Value;
 
 use crate::config::{ConfigError, defaults, did_you_mean, nearest_name, parse};
 use crate::{
-    Books, Counter, Counts, Error, Gateway, NoInput, NoOutput, Operator, Outputs, Port, PortId, SettingInfo, Sink,
-    Source, StageInputs, StageOutputs, StageSettings, Waker,
+    Books, Counter, Counts, Error, Gateway, KnownMap, NoInput, NoOutput, Operator, Outputs, Port, PortId, SettingInfo,
+    Sink, Source, StageInputs, StageOutputs, StageSettings, Waker,
 };
 
 /// What a node is to its graph.
@@ -171,6 +171,8 @@ pub struct Registration {
     pub check: fn(&[String]) -> Result<(), ConfigError>,
     /// Looks at its settings and the files that they name; see [`Describe::examine`](crate::Describe::examine).
     pub examine: fn(&[String]) -> Result<(), Error>,
+    /// The BEV maps of its ports, as far as these settings say them; see [`Describe::maps`](crate::Describe::maps).
+    pub maps: fn(&[String]) -> Vec<(&'static str, KnownMap)>,
     /// Builds it from `key=value` settings.
     pub build: fn(&[String]) -> Result<Built, Error>,
 }
@@ -190,6 +192,7 @@ macro_rules! registration {
                 defaults: defaults::<T::Settings>,
                 check: |args| parse::<T::Settings>(args).map(|_| ()),
                 examine: |args| T::examine(&parse(args)?),
+                maps: |args| parse(args).map(|settings| T::maps(&settings)).unwrap_or_default(),
                 build: |args| {
                     let $made = T::build(parse(args)?)?;
                     Ok($built)

@@ -55,5 +55,7 @@ fn serve(registration: &'static Registration, args: &[String]) -> Result<(), Str
     let built = (registration.build)(args).map_err(|error| error.to_string())?;
     let (calls, replies) = (std::io::stdin().lock(), std::io::stdout().lock());
     let shares = std::env::var(MEMORY_VARIABLE).is_ok_and(|probe| memory::reaches(&probe));
-    pipe::serve(registration, built, calls, std::io::BufWriter::new(replies), shares)
+    let maps = (registration.maps)(args);
+    let replies = std::io::BufWriter::new(replies);
+    pipe::serve(registration, built, &maps, calls, replies, shares)
 }

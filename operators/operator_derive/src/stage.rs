@@ -15,7 +15,7 @@ pub fn derive(input: &DeriveInput) -> Result<TokenStream> {
     let kebab = kebab(stage);
     let mut name = quote!(#kebab);
     let (mut settings, mut inputs, mut outputs) = (quote!(Settings), quote!(Input), quote!(Output));
-    let (mut counters, mut examine) = (TokenStream::new(), TokenStream::new());
+    let (mut counters, mut examine, mut maps) = (TokenStream::new(), TokenStream::new(), TokenStream::new());
     for word in words(&input.attrs, "stage")? {
         let Word {
             name: key,
@@ -41,8 +41,15 @@ pub fn derive(input: &DeriveInput) -> Result<TokenStream> {
                     }
                 };
             }
+            "maps" => {
+                maps = quote! {
+                    fn maps(settings: &Self::Settings) -> ::std::vec::Vec<(&'static str, ::realo_operator::KnownMap)> {
+                        #value(settings)
+                    }
+                };
+            }
             _ => {
-                let expected = "expected `name`, `settings`, `input`, `output`, `counters` or `examine`";
+                let expected = "expected `name`, `settings`, `input`, `output`, `counters`, `examine` or `maps`";
                 return Err(Error::new(key.span(), expected));
             }
         }
@@ -57,6 +64,7 @@ pub fn derive(input: &DeriveInput) -> Result<TokenStream> {
             const ABOUT: &'static str = #about;
             #counters
             #examine
+            #maps
         }
     })
 }
@@ -91,7 +99,7 @@ mod tests {
             #[doc = " all of them."]
             #[doc = ""]
             #[doc = " More."]
-            #[stage(input = Input<Boxes>, counters(ONE, other::TWO), examine = check)]
+            #[stage(input = Input<Boxes>, counters(ONE, other::TWO), examine = check, maps = sizes)]
             struct FusionBoxes {
                 a: u8,
             }
@@ -103,6 +111,7 @@ mod tests {
             "type Settings = Settings ; type Input = Input < Boxes > ; type Output = Output ;",
             "= & [ONE , other :: TWO] ;",
             "check (settings)",
+            "sizes (settings)",
         ] {
             assert!(made.contains(part), "{part}: {made}");
         }

@@ -11,11 +11,11 @@
 use std::path::PathBuf;
 
 use realo_bev::counters::{EMPTY_SWEEPS, OVER_POINTS, count_empty};
-use realo_bev::{Computing, Engine, Maps};
+use realo_bev::{Computing, Engine, Maps, known_map};
 use realo_kernels::bev::BevView;
 use realo_methods::Pillarer;
 use realo_methods::detect::pillars::{Dropped, Points};
-use realo_operator::{Counter, Describe, Error, Inputs, Operator, Outputs, Settings, Steps};
+use realo_operator::{Counter, Describe, Error, Inputs, KnownMap, Operator, Outputs, Settings, Steps};
 use realo_schemas::{Elements, FeatureMap, Header, Kind, PointCloud};
 use serde::{Deserialize, Serialize};
 
@@ -37,7 +37,7 @@ pub struct Settings {
 
 /// Makes BEV maps of sweeps: pillars, pillar net and backbone of a PointPillars model.
 #[derive(Describe)]
-#[stage(counters(EMPTY_SWEEPS, NAN_POINTS, OUT_OF_RANGE_POINTS, OVER_POINTS, OVER_PILLARS))]
+#[stage(counters(EMPTY_SWEEPS, NAN_POINTS, OUT_OF_RANGE_POINTS, OVER_POINTS, OVER_PILLARS), maps = maps)]
 pub struct PillarEncoder {
     pillarer: Pillarer,
     engine: Engine,
@@ -69,6 +69,14 @@ pub enum Output {
     Features(Header, FeatureMap),
     /// BEV maps for the agent's own fusion.
     Own(Header, FeatureMap),
+}
+
+/// The sizes of the maps that it sends.
+fn maps(settings: &Settings) -> Vec<(&'static str, KnownMap)> {
+    let own = known_map(&settings.model, |layers| layers.kept);
+    let shared = known_map(&settings.model, |layers| layers.features);
+    let named = [("own", own), ("features", shared)].into_iter();
+    named.filter_map(|(name, map)| Some((name, map?))).collect()
 }
 
 impl Operator for PillarEncoder {

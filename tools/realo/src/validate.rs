@@ -1,10 +1,11 @@
 //! `realo validate`: what dora does not check.
 
+use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
 
 use eyre::Result;
 use realo_cli::Outcome;
-use realo_graph::{Finding, FlatGraph, Severity};
+use realo_graph::{Finding, FlatGraph, FlatNode, Severity};
 use realo_host::Program;
 
 use crate::registry;
@@ -37,7 +38,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         for program in &missing {
             println!("{}: error: {program}", path.display());
         }
-        let findings = check(&graph, args.no_start || !missing.is_empty());
+        let findings = check(&graph, args, args.no_start || !missing.is_empty());
         for finding in &findings {
             println!("{}: {finding}", path.display());
         }
@@ -65,11 +66,24 @@ fn networks(graph: FlatGraph, args: &Args) -> Result<()> {
 }
 
 /// The findings; programs of plug-ins are started over pipes and asked for their ports.
-fn check(graph: &FlatGraph, no_start: bool) -> Vec<Finding> {
+fn check(graph: &FlatGraph, args: &Args, no_start: bool) -> Vec<Finding> {
     let folder = graph.file.parent().unwrap_or(Path::new("/"));
-    realo_graph::validate_asking(graph, &registry(), &mut |node| {
-        Program::of(node, folder)
-            .filter(|_| !no_start)
-            .map(|program| program.ask())
-    })
+    let mut programs = BTreeMap::new();
+    let mut findings = realo_graph::validate_asking(graph, &registry(), &mut |node| {
+        let answer = Program::of(node, folder).filter(|_| !no_start)?.ask();
+        programs.extend(answer.as_ref().ok().map(|program| (node.id.clone(), *program)));
+        Some(answer)
+    });
+    // Files of networks are relative to the graph; what cannot be found is said where they are loaded.
+    if let Ok(graph) = crate::run::anchored(graph.clone(), args.model.as_deref()) {
+        let stage = |node: &FlatNode| {
+            programs
+                .get(&node.id)
+                .copied()
+                .or_else(|| node.registration(&registry()))
+        };
+        let stages: Vec<_> = graph.nodes.iter().map(stage).collect();
+        findings.extend(realo_graph::unfit_maps(&graph, &stages));
+    }
+    findings
 }

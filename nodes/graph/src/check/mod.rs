@@ -4,6 +4,7 @@ mod agents;
 mod hosting;
 mod lanes;
 mod machines;
+mod maps;
 mod packets;
 mod ports;
 mod processes;
@@ -118,6 +119,13 @@ pub fn validate_asking(
 pub fn misdeclared(node: &FlatNode, program: &'static Registration) -> Vec<Finding> {
     let mut findings = Findings::default();
     ports::declared(node, Some(program), &mut findings);
+    findings.0
+}
+
+/// Where a BEV map comes to an input that takes maps of another size, as far as both sizes are known: `stages` says what each node is.
+pub fn unfit_maps(graph: &FlatGraph, stages: &[Option<&'static Registration>]) -> Vec<Finding> {
+    let mut findings = Findings::default();
+    maps::check(graph, stages, &mut findings);
     findings.0
 }
 

@@ -393,6 +393,7 @@ static NOBODY: Registration = Registration {
     defaults: serde_json::Map::new,
     check: |_| Ok(()),
     examine: |_| Ok(()),
+    maps: |_| Vec::new(),
     build: |_| Err("a program that has not said hello".into()),
 };
 
@@ -425,7 +426,7 @@ mod tests {
     /// A program that says hello and then does something else.
     fn greeting(script: &str) -> Child {
         let hello = tempfile::NamedTempFile::new().unwrap();
-        let words = hello::write(&SCRIPTED, false).unwrap();
+        let words = hello::write(&SCRIPTED, &[], false).unwrap();
         frame::write_first(&mut hello.as_file(), &words).unwrap();
         let script = format!("cat '{}'; {script}", hello.path().display());
         shell(&script, Duration::from_secs(60)).unwrap()

@@ -11,7 +11,7 @@ use serde::{Deserialize, Serialize};
 use super::VERSION;
 use super::row::{Received, Row};
 use crate::config::ConfigError;
-use crate::{Class, Port, Queue, Registration, Role, Side};
+use crate::{Class, KnownMap, Port, Queue, Registration, Role, Side};
 
 /// Ports of one side that a program may declare.
 const MOST_PORTS: usize = 64;
@@ -37,6 +37,8 @@ struct PortWords {
     lane: Option<Side>,
     #[serde(default)]
     wire: Option<String>,
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    map: Option<KnownMap>,
 }
 
 fn all() -> String {
@@ -93,15 +95,22 @@ pub struct Hello {
     pub shares: bool,
 }
 
-/// The first frame of a program that hosts a stage, in parts.
+/// The first frame of a program that hosts a stage, in parts. `maps`: what is known of the BEV maps of ports.
 ///
 /// # Errors
 /// What Arrow cannot write.
-pub fn write(registration: &Registration, shares: bool) -> Result<Vec<Buffer>, String> {
+pub fn write(registration: &Registration, maps: &[(&str, KnownMap)], shares: bool) -> Result<Vec<Buffer>, String> {
+    let words = |port: &Port| {
+        let map = maps.iter().find(|(name, _)| *name == port.name);
+        PortWords {
+            map: map.map(|(_, map)| map.clone()),
+            ..PortWords::of(port)
+        }
+    };
     let ports = Ports {
         role: role_word(registration.role).into(),
-        inputs: registration.inputs.iter().map(PortWords::of).collect(),
-        outputs: registration.outputs.iter().map(PortWords::of).collect(),
+        inputs: registration.inputs.iter().map(words).collect(),
+        outputs: registration.outputs.iter().map(words).collect(),
     };
     let json = serde_json::to_string(&ports).map_err(|error| error.to_string())?;
     Row::default()
@@ -179,6 +188,7 @@ fn register(name: &str, ports: Ports) -> Result<&'static Registration, String> {
             defaults: serde_json::Map::new,
             check: |_| Ok::<(), ConfigError>(()),
             examine: |_| Ok(()),
+            maps: |_| Vec::new(),
             build: |_| Err("a program of its own cannot be built in this process".into()),
         }))
     });
@@ -205,6 +215,7 @@ fn leaked_ports(ports: Vec<Declared>) -> &'static [Port] {
         ends_early: false,
         wire: port.words.wire.as_deref().map(leaked),
         feedback: false,
+        map: port.words.map.map(|map| &*Box::leak(Box::new(map))),
     });
     Box::leak(ports.collect())
 }
@@ -247,6 +258,7 @@ impl PortWords {
             accounts: port.accounts,
             lane: port.side,
             wire: port.wire.map(Into::into),
+            map: port.map.cloned(),
         }
     }
 
@@ -330,29 +342,37 @@ mod tests {
             defaults: serde_json::Map::new,
             check: |_| Ok(()),
             examine: |_| Ok(()),
+            maps: |_| Vec::new(),
             build: |_| Err("".into()),
         };
-        let hello = read(whole(write(&registration, true))).unwrap();
+        let hello = read(whole(write(&registration, &[], true))).unwrap();
         let back = hello.registration;
         assert!(hello.shares);
         assert_eq!(format!("{:?}", back.inputs), format!("{PORTS:?}"));
         assert_eq!((back.name, back.outputs.len()), ("mine", 1));
-        let again = read(whole(write(&registration, false))).unwrap();
+        let again = read(whole(write(&registration, &[], false))).unwrap();
         assert!(std::ptr::eq(back, again.registration), "a declaration is kept once");
         assert!(!again.shares);
+        let map = KnownMap {
+            size: [None, Some(256), Some(64)],
+            by: "a.onnx, `features`".into(),
+        };
+        let with_map = read(whole(write(&registration, &[("ego", map.clone())], false))).unwrap();
+        let found = with_map.registration.inputs;
+        assert_eq!((found[0].map, found[1].map.is_none()), (Some(&map), true));
         assert_eq!(back.role, Role::Operator);
         let source = Registration {
             role: Role::Source,
             inputs: &[],
             ..registration
         };
-        let back = read(whole(write(&source, false))).unwrap().registration;
+        let back = read(whole(write(&source, &[], false))).unwrap().registration;
         assert_eq!((back.role, back.outputs.len()), (Role::Source, 1));
         let gateway = Registration {
             role: Role::Gateway,
             ..registration
         };
-        let error = read(whole(write(&gateway, false))).map(|_| ()).unwrap_err();
+        let error = read(whole(write(&gateway, &[], false))).map(|_| ()).unwrap_err();
         assert!(error.contains("role: expected"), "{error}");
     }
 

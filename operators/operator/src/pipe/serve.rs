@@ -5,17 +5,18 @@ use std::io::{Read, Write};
 use super::memory::Memory;
 use super::words::{Call, Reply, Reported};
 use super::{FrameError, frame, hello};
-use crate::{AnyOperator, Built, Outputs, PortId, Registration};
+use crate::{AnyOperator, Built, KnownMap, Outputs, PortId, Registration};
 
 /// Answers a driver's calls to an operator until the driver closes the pipe or has called the end.
 ///
-/// `shares`: whether the host reads shared memory, and this program too.
+/// `maps`: what is known of the BEV maps of its ports. `shares`: whether the host reads shared memory, and this program too.
 ///
 /// # Errors
 /// A pipe that fails, a call that is none, an input that the operator does not have.
 pub fn serve(
     registration: &'static Registration,
     built: Built,
+    maps: &[(&str, KnownMap)],
     mut calls: impl Read,
     mut replies: impl Write,
     shares: bool,
@@ -28,7 +29,7 @@ pub fn serve(
     };
     let pipe = |error: FrameError| error.to_string();
     let memory = Memory::default();
-    frame::write_first(&mut replies, &hello::write(registration, shares)?).map_err(pipe)?;
+    frame::write_first(&mut replies, &hello::write(registration, maps, shares)?).map_err(pipe)?;
     while let Some(bytes) = frame::read(&mut calls, &memory).map_err(pipe)? {
         let (call, now) = Call::from_bytes(bytes)?;
         let ends = call == Call::End;

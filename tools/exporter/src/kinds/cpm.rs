@@ -227,6 +227,28 @@ impl<'a> Writing<'a> {
         ExportError::unfit(self.file.path(), format!("agent `{agent}`, stamp {stamp} ns: {reason}"))
     }
 
+    /// What messages do not hold, a line each.
+    fn lost(&self) -> Vec<String> {
+        let mut lost = vec![
+            "names of agents: messages have a stationId, which index.csv says".into(),
+            "stamps below a millisecond; index.csv has them".to_string(),
+            "digits: centimetres, tenths of degrees and of metres, per cent (docs/reference/packets.md)".into(),
+        ];
+        if self.dropped.tracks > 0 {
+            lost.push(format!(
+                "tracks of {} objects, whose number another object of the message has",
+                self.dropped.tracks
+            ));
+        }
+        if self.too_fast > 0 {
+            lost.push(format!(
+                "velocities of {} objects above {FASTEST} m/s, which are unknown there",
+                self.too_fast
+            ));
+        }
+        lost
+    }
+
     fn exported(self, folder: &mut Folder, origin: Geodetic, without_pair: u64) -> Result<Exported, ExportError> {
         if self.summaries.is_empty() {
             let topic = self.options.boxes.topic();
@@ -254,23 +276,7 @@ impl<'a> Writing<'a> {
                 "lists of boxes without their companion of headings, where the file was cut",
             ),
         ];
-        let mut lost = vec![
-            "names of agents: messages have a stationId, which index.csv says".into(),
-            "stamps below a millisecond; index.csv has them".to_string(),
-            "digits: centimetres, tenths of degrees and of metres, per cent (docs/reference/packets.md)".into(),
-        ];
-        if self.dropped.tracks > 0 {
-            lost.push(format!(
-                "tracks of {} objects, whose number another object of the message has",
-                self.dropped.tracks
-            ));
-        }
-        if self.too_fast > 0 {
-            lost.push(format!(
-                "velocities of {} objects above {FASTEST} m/s, which are unknown there",
-                self.too_fast
-            ));
-        }
+        let lost = self.lost();
         let roadside: Vec<&str> = self.agents.roadside().collect();
         Ok(Exported {
             agents: self.summaries.into_values().collect(),

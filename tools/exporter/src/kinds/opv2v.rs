@@ -81,6 +81,15 @@ fn folders(scene: &Scene) -> Vec<String> {
     scene.agents.iter().map(&mut folder).collect()
 }
 
+/// A line of what the layout does not hold, with where it is nevertheless.
+fn aside(line: String, keeps_motion: bool) -> String {
+    let has_times = keeps_motion && line.starts_with("times and rings");
+    match has_times || line.starts_with("poses ") {
+        true => format!("{line} (times and poses: {ASIDE})"),
+        false => line,
+    }
+}
+
 struct Writing<'a> {
     scene: &'a Scene<'a>,
     agents: Vec<ExportedAgent>,
@@ -211,15 +220,8 @@ impl<'a> Writing<'a> {
                 "the points of {sweeps} sweeps are as they were measured: the log has no poses over the whole of those sweeps"
             ));
         }
-        let is_aside = |line: &str| {
-            let times = scene.options.keeps_motion && line.starts_with("times and rings");
-            times || line.starts_with("poses ")
-        };
-        let aside = |line: String| match is_aside(&line) {
-            true => format!("{line} (times and poses: {ASIDE})"),
-            false => line,
-        };
-        lines.extend(lost::of_frames(scene).into_iter().map(aside));
+        let keeps_motion = scene.options.keeps_motion;
+        lines.extend(lost::of_frames(scene).into_iter().map(|line| aside(line, keeps_motion)));
         let mut command = "realo-lab import opv2v PATH -o LOG.mcap".to_string();
         let is_open = |agent: &&SceneAgent| agent.kind == AgentKind::Vehicle && agent.stated_footprint.is_none();
         let vehicles = scene.agents.iter().filter(is_open);

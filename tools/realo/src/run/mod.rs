@@ -239,13 +239,22 @@ impl Args {
 /// # Errors
 /// A model or weights that cannot be had, a model file for a graph without a network, kernels that this processor lacks,
 /// models that do not fit together, a value that a node does not take.
-pub fn check_networks(mut graph: FlatGraph, model: Option<&Path>) -> Result<()> {
+pub fn check_networks(graph: FlatGraph, model: Option<&Path>) -> Result<()> {
+    let graph = anchored(graph, model)?;
+    Networks::default().check(&graph)?;
+    check_nodes(&graph, Asked::All)
+}
+
+/// A graph with absolute paths, and with one model file for all if there is one.
+///
+/// # Errors
+/// A model file for a graph without a network.
+pub fn anchored(mut graph: FlatGraph, model: Option<&Path>) -> Result<FlatGraph> {
     nodes::anchor_paths(&mut graph)?;
     if let Some(model) = model {
         nodes::set_model(&mut graph, model)?;
     }
-    Networks::default().check(&graph)?;
-    check_nodes(&graph, Asked::All)
+    Ok(graph)
 }
 
 /// The same without loading a network: looks whether models and weights are there.
