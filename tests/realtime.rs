@@ -347,10 +347,7 @@ fn tampered(dir: &Path, report: &Path, what: &str) -> PathBuf {
         report.display()
     );
     let packets = format!("packets: {{ source: tamper/out, {RELIABLE} }}");
-    let changes = [
-        ("  - id: v2x", node.as_str()),
-        ("packets: others/packets", &packets),
-    ];
+    let changes = [("  - id: v2x", node.as_str()), ("packets: others/packets", &packets)];
     changed_graph(dir, "late_fusion", &changes)
 }
 

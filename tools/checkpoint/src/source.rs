@@ -41,7 +41,7 @@ fn what(begin: &[u8]) -> &'static str {
         _ if begin.get(8) == Some(&b'{') => {
             "safetensors; name such a file as weights in a model file (docs/reference/networks.md)"
         }
-        [0x80, 3.., ..] => "a pickle of something else; save a state dict: torch.save(model.state_dict(), FILE)",
+        [0x80, 3..=5, ..] => "a pickle of something else; save a state dict: torch.save(model.state_dict(), FILE)",
         [0x1f, 0x8b, ..] => "compressed by gzip; unpack it first",
         _ => "something else; see whether it is the right file",
     }
