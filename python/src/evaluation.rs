@@ -124,7 +124,7 @@ impl FrameRow {
             other_footprints: Vec::new(),
             key: self.key,
             views: views("truth", &self.views)?,
-            own: own.transpose()?,
+            own: own.transpose()?.map(Box::new),
         })
     }
 }

@@ -337,7 +337,7 @@ pub struct GroundTruth {
     /// Where objects could be labelled, in the ego's true body frame; empty where that is everywhere.
     pub views: Vec<View>,
     /// What the ego's own side labelled, where the source tells it apart.
-    pub own: Option<OwnLabels>,
+    pub own: Option<Box<OwnLabels>>,
 }
 
 /// Objects that one agent's side labelled by its own sensors, in the agent's true body frame.

@@ -513,7 +513,7 @@ fn truth_columns(truth: &GroundTruth, row: &mut Builder) {
     row.push("key", BooleanArray::from(vec![truth.key]));
     row.list("views", views_column(&truth.views));
     let nothing = OwnLabels::default();
-    let own = truth.own.as_ref().unwrap_or(&nothing);
+    let own = truth.own.as_deref().unwrap_or(&nothing);
     row.list(
         OWN_KEY,
         BooleanArray::from_iter(truth.own.iter().map(|own| Some(own.key))),
@@ -608,6 +608,6 @@ fn read_truth(row: &Row) -> Result<GroundTruth, WireError> {
         other_footprints,
         key,
         views: read_views(row, "views")?,
-        own: read_own(row)?,
+        own: read_own(row)?.map(Box::new),
     })
 }

@@ -106,12 +106,12 @@ fn payloads() -> Vec<(Kind, Payload)> {
         ego_footprint: None,
         other_footprints: vec![Some([-1.0, 3.0, -1.0, 1.0])],
         views: vec![view.clone(), view.clone()],
-        own: Some(OwnLabels {
+        own: Some(Box::new(OwnLabels {
             boxes: vec![object(Some(1))],
             points: vec![7],
             key: true,
             views: vec![view],
-        }),
+        })),
         ..truth.clone()
     };
     vec![

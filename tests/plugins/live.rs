@@ -3,7 +3,7 @@
 use std::fs;
 use std::os::unix::process::CommandExt;
 use std::path::{Path, PathBuf};
-use std::process::{Command, Stdio};
+use std::process::{Child, Command, Stdio};
 
 use crate::common::machine::decided;
 use crate::common::{self, folder, json, kill, root, text, until};
@@ -36,6 +36,15 @@ fn live(bin: &Path, args: &[&str]) -> Command {
     command
 }
 
+/// A run that no failure of a test leaves behind.
+struct Ended(Child);
+
+impl Drop for Ended {
+    fn drop(&mut self) {
+        common::end(&mut self.0);
+    }
+}
+
 #[test]
 fn ctrl_c_ends_a_graph_without_a_log_in_order() {
     decided(ended_in_order);
@@ -55,14 +64,22 @@ fn ended_in_order() {
         .stderr(Stdio::piped())
         .process_group(0)
         .spawn();
-    let child = child.expect("it can be started");
+    let mut child = Ended(child.expect("it can be started"));
     let log = || fs::read_to_string(out.join("dora.log")).unwrap_or_default();
     until("boxes came", || log().contains("the first message of `boxes` was sent"));
     std::thread::sleep(std::time::Duration::from_millis(1500));
-    kill(child.id(), "INT");
-    let output = child.wait_with_output().expect("it ends");
-    let said = format!("{}{}", text(&output.stdout), text(&output.stderr));
-    assert_eq!(output.status.code(), Some(130), "{said}\n{}", log());
+    kill(child.0.id(), "INT");
+    let mut status = None;
+    until("the run ended", || {
+        status = child.0.try_wait().expect("it can be asked");
+        status.is_some()
+    });
+    let [out_text, errors] = [
+        std::io::read_to_string(child.0.stdout.take().expect("it is piped")),
+        std::io::read_to_string(child.0.stderr.take().expect("it is piped")),
+    ];
+    let said = format!("{}{}", out_text.expect("text"), errors.expect("text"));
+    assert_eq!(status.and_then(|status| status.code()), Some(130), "{said}\n{}", log());
     assert!(
         said.contains("ended by Ctrl-C; these are the results until then"),
         "{said}"

@@ -126,6 +126,9 @@ fn report(run: &Path, page: &Path, more: &[&str]) -> String {
         .args(more)
         .current_dir(root())
         .env("COLUMNS", "400")
+        // Each thread and its arena reserve memory, whatever they use.
+        .env("RAYON_NUM_THREADS", "2")
+        .env("MALLOC_ARENA_MAX", "2")
         .output()
         .expect("a shell can be started");
     let words = format!("{}{}", text(&said.stdout), text(&said.stderr));

@@ -298,8 +298,6 @@ const DEFINITIONS: &[(&str, &str)] = &[
          # Codecs, first applied first.\n\
          string[] codec\nuint8[] data\n",
     ),
-    ("geometry_msgs/Point32", "float32 x\nfloat32 y\nfloat32 z\n"),
-    ("geometry_msgs/Polygon", "geometry_msgs/Point32[] points\n"),
     (
         "autoware_perception_msgs/ObjectClassification",
         "uint8 UNKNOWN=0\nuint8 CAR=1\nuint8 TRUCK=2\nuint8 BUS=3\nuint8 TRAILER=4\nuint8 MOTORCYCLE=5\nuint8 BICYCLE=6\n\

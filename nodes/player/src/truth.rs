@@ -66,7 +66,7 @@ pub struct TruthJoin {
 #[derive(Default)]
 struct OfEgo {
     truth: Option<(Boxes, BoxesInfo)>,
-    own: Option<OwnLabels>,
+    own: Option<Box<OwnLabels>>,
 }
 
 struct Counts {
@@ -328,12 +328,12 @@ impl TruthJoin {
     fn take(&mut self, (agent, array, stamp): Key, mut boxes: Boxes, info: BoxesInfo) {
         if array == Stream::OwnLabels {
             self.level(stamp, &mut boxes);
-            self.ego.entry(stamp).or_default().own = Some(OwnLabels {
+            self.ego.entry(stamp).or_default().own = Some(Box::new(OwnLabels {
                 boxes: boxes.0,
                 points: info.points.unwrap_or_default(),
                 key: info.key,
                 views: Vec::new(),
-            });
+            }));
             return;
         }
         match self.others.get_mut(&agent) {

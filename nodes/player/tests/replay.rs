@@ -692,11 +692,13 @@ fn truth_has_its_views_and_what_the_own_side_labelled() {
                 vec![]
             };
             assert_eq!(truth.views, views, "sweep {sweep} of {ego}");
-            let own = labelled.then(|| OwnLabels {
-                boxes: vec![object(sweep as u64)],
-                points: vec![7],
-                key: sweep.is_multiple_of(2),
-                views: vec![view(sweep as f64)],
+            let own = labelled.then(|| {
+                Box::new(OwnLabels {
+                    boxes: vec![object(sweep as u64)],
+                    points: vec![7],
+                    key: sweep.is_multiple_of(2),
+                    views: vec![view(sweep as f64)],
+                })
             });
             assert_eq!(truth.own, own, "sweep {sweep} of {ego}");
         }

@@ -265,12 +265,12 @@ impl TruthOf {
 
     fn add_own(&mut self, agent: &Name, (header, boxes, info): WithCompanion) {
         if let Some(truth) = self.at(agent, header.stamp) {
-            truth.own = Some(OwnLabels {
+            truth.own = Some(Box::new(OwnLabels {
                 boxes: boxes.0,
                 points: info.points.unwrap_or_default(),
                 key: info.key,
                 views: Vec::new(),
-            });
+            }));
         }
     }
 
@@ -431,12 +431,12 @@ mod tests {
             agents: vec!["cav1".into()],
             points: vec![7],
             key: seq.is_multiple_of(10),
-            own: Some(OwnLabels {
+            own: Some(Box::new(OwnLabels {
                 boxes: vec![object(-1.0)],
                 points: vec![3],
                 key: true,
                 views: Vec::new(),
-            }),
+            })),
             ..GroundTruth::default()
         };
         let mut recording = Recording::create(&path).unwrap();

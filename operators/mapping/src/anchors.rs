@@ -142,13 +142,20 @@ pub(crate) fn anchored(keyframes: &[Keyframe], track: &PoseTrack, fixes: &[Fix])
         let antenna = body_from_then * nalgebra::Point3::from(fix.antenna);
         groups[nearest].push((fix, antenna.coords));
     }
-    let first = fixes.first().map_or(0, |fix| fix.stamp);
-    let last = fixes.last().map_or(0, |fix| fix.stamp);
-    let period = to_seconds(last.saturating_sub(first)) / fixes.len().max(2).saturating_sub(1) as f64;
+    let period = period(groups.iter().flatten().map(|(fix, _)| fix.stamp));
     let with_fixes = groups.iter().enumerate().filter(|(_, group)| !group.is_empty());
     with_fixes
         .map(|(keyframe, group)| mean(keyframe, group, period.max(SHORTEST_S)))
         .collect()
+}
+
+/// The median time from one position to the next, s: neither outages nor wrong stamps change it.
+fn period(stamps: impl Iterator<Item = Nanos>) -> f64 {
+    let mut stamps: Vec<Nanos> = stamps.collect();
+    stamps.sort_unstable();
+    let mut gaps: Vec<Nanos> = stamps.windows(2).map(|pair| pair[1].saturating_sub(pair[0])).collect();
+    gaps.sort_unstable();
+    gaps.get(gaps.len() / 2).map_or(0.0, |gap| to_seconds(*gap))
 }
 
 fn mean(keyframe: usize, group: &[(&Fix, Vector3<f64>)], period: f64) -> Anchored {

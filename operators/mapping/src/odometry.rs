@@ -6,7 +6,8 @@ use realo_registration::{AlignError, Alignment, Registrar, Sampler, Search, Sett
 use realo_schemas::geometry::yaw_of;
 use realo_schemas::{Motion, Nanos, PointCloud};
 use realo_state_estimation::{
-    Estimate, Estimator, Measured, Mounting, Sample, ScanPose, Settings, SettingsError, deskewed, level_pose, unit_of,
+    Estimate, Estimator, Measured, Mounting, Sample, ScanPose, Settings, SettingsError, Verdict, deskewed, level_pose,
+    unit_of,
 };
 
 use crate::anchors::Fixes;
@@ -186,15 +187,17 @@ impl Odometry {
         };
         let still = deskewed(cloud, stamp, |at| self.estimate_at(at));
         let cloud = still.as_ref().unwrap_or(cloud);
-        let found = self.register(cloud, &guess);
-        if let Some(Ok(found)) = &found
-            && let Some(estimator) = &mut self.estimator
-        {
-            _ = estimator.take(&Sample::Scan(Box::new(ScanPose {
+        let mut found = self.register(cloud, &guess);
+        if let (Some(Ok(alignment)), Some(estimator)) = (&found, &mut self.estimator) {
+            let verdict = estimator.take(&Sample::Scan(Box::new(ScanPose {
                 stamp,
-                map_from_body: found.map_from_body,
-                information: found.information,
+                map_from_body: alignment.map_from_body,
+                information: alignment.information,
             })));
+            // What the filter does not believe measures nothing.
+            if !matches!(verdict, Verdict::Used) {
+                found = Some(Err(Taken::Unfit));
+            }
         }
         // A sweep that contradicts for long ends the estimate.
         let Some(estimate) = self.estimate_at(stamp) else {
@@ -235,8 +238,10 @@ impl Odometry {
     /// Ends the piece that went on.
     fn break_off(&mut self) {
         self.local = None;
-        self.pieces
-            .extend(self.piece.take().filter(|piece| !piece.keyframes.is_empty()));
+        if let Some(piece) = self.piece.take() {
+            self.since = None;
+            self.pieces.extend((!piece.keyframes.is_empty()).then_some(piece));
+        }
     }
 
     /// The sweep's pose by the local map; `None` without a map.

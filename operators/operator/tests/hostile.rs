@@ -68,7 +68,7 @@ fn changed_frames_are_errors_and_cost_little() {
     let message = Box::new(boxes("cav1", 2));
     type Reads = fn(Buffer) -> bool;
     let sorts: [(&str, Vec<u8>, Reads); 3] = [
-        ("hello", whole(hello::write(registration, true)), |bytes| {
+        ("hello", whole(hello::write(registration, &[], true)), |bytes| {
             hello::read(bytes).is_ok()
         }),
         ("reply", whole(reply(9).to_parts()), |bytes| {

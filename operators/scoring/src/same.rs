@@ -138,10 +138,10 @@ mod tests {
         assert!(error(&truth(1.0, [8, 5])).contains("object 0"));
         // What the ego's own side labelled is compared where both have it.
         let labelled = |x: f64| GroundTruth {
-            own: Some(OwnLabels {
+            own: Some(Box::new(OwnLabels {
                 boxes: truth(x, [9, 5]).boxes,
                 ..OwnLabels::default()
-            }),
+            })),
             ..one.clone()
         };
         assert_eq!(same_truth(&one, &labelled(2.0)), Ok(()));

@@ -625,12 +625,12 @@ fn ahead() -> View {
 fn in_views() -> (GroundTruth, Vec<Box3>) {
     let both = GroundTruth {
         views: vec![ahead()],
-        own: Some(OwnLabels {
+        own: Some(Box::new(OwnLabels {
             boxes: vec![car(20.0, 1.0)],
             points: vec![],
             key: true,
             views: vec![ahead()],
-        }),
+        })),
         ..truth(vec![car(20.0, 1.0), car(40.0, 1.0), car(-30.0, 1.0)])
     };
     let detections = vec![car(20.0, 0.9), car(-30.0, 0.8), car(-50.0, 0.7), car(60.0, 0.6)];
@@ -717,12 +717,12 @@ fn own_labels_that_did_not_come_are_asked_for() {
 fn own_labels_count_by_the_egos_own_points() {
     let protocol = with_keys(Labels::Own, OutsideViews::Counted);
     let labelled = GroundTruth {
-        own: Some(OwnLabels {
+        own: Some(Box::new(OwnLabels {
             boxes: vec![car(20.0, 1.0), car(30.0, 1.0), car(40.0, 1.0)],
             points: vec![4, 5, 10],
             key: true,
             views: vec![],
-        }),
+        })),
         key: false,
         ..truth(vec![])
     };

@@ -38,7 +38,7 @@ fn what(begin: &[u8]) -> &'static str {
         _ if is(b"version https://git-lfs") => "a pointer of Git LFS; fetch the file with `git lfs pull`",
         _ if text.starts_with(b"<!doctype") || text.starts_with(b"<html") => "a web page; download the file itself",
         // The header of safetensors: its length, then JSON.
-        _ if begin.get(8) == Some(&b'{') => {
+        [_, _, _, _, 0, 0, 0, 0, b'{', ..] => {
             "safetensors; name such a file as weights in a model file (docs/reference/networks.md)"
         }
         [0x80, 3..=5, ..] => "a pickle of something else; save a state dict: torch.save(model.state_dict(), FILE)",

@@ -365,11 +365,26 @@ fn columns(fields: &[Field], values: &impl Values) -> Result<Points, String> {
         timestamp,
         t: t.map(|field| values.column(field)),
         offset_ns: match find("offset_ns")? {
-            // Whole numbers of 32 bits are exact in doubles.
-            Some((field, "int32")) => Some(values.column(field).into_iter().map(|ns| ns as i32).collect()),
-            _ => None,
+            Some((field, "int32")) => Some(offsets(values.column(field))?),
+            Some((_, kind)) => {
+                return Err(format!(
+                    "field `offset_ns`: expected TYPE I SIZE 4, ns from the stamp, found {kind}; save it so or leave it out"
+                ));
+            }
+            None => None,
         },
     })
+}
+
+/// Times from the stamp, ns, which a text may break: within a second of it, as in a log.
+fn offsets(column: Vec<f64>) -> Result<Vec<i32>, String> {
+    let offset = |value: f64| match value.abs() < 1e9 && value.fract() == 0.0 {
+        true => Ok(value as i32),
+        false => Err(format!(
+            "field `offset_ns`: expected whole numbers within 1e9 of 0, ns, found {value}"
+        )),
+    };
+    column.into_iter().map(offset).collect()
 }
 
 /// Numbers of a field of bytes, which a text may break.

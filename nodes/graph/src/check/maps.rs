@@ -2,7 +2,7 @@
 
 use std::collections::BTreeSet;
 
-use realo_operator::{KnownMap, Port, Registration, Role};
+use realo_operator::{Class, KnownMap, Port, Registration, Role};
 use realo_schemas::PayloadType;
 
 use super::{Findings, FlatGraph, FlatNode, Severity};
@@ -77,7 +77,7 @@ impl<'a> Wires<'a> {
         for input in stage
             .inputs
             .iter()
-            .filter(|input| !input.feedback && may_hold_maps(input))
+            .filter(|input| !input.feedback && input.class != Class::Query && may_hold_maps(input))
         {
             if let Some(wire) = node.inputs.get(input.name).and_then(|input| input.output()) {
                 self.follow(wire, seen, made);

@@ -119,49 +119,50 @@ fn log_of(path: &Path, stamp: i64, boxes: &[Box3], origin: Option<[f64; 3]>) {
     log.finish().unwrap();
 }
 
-#[test]
-fn what_a_message_cannot_hold_is_refused_by_name_or_left_out_and_counted() {
+/// A log that no message holds: its name, stamp, boxes and origin, and what its refusal says.
+struct Unfit {
+    name: &'static str,
+    stamp: i64,
+    boxes: Vec<Box3>,
+    origin: Option<[f64; 3]>,
+    expected: &'static str,
+}
+
+fn unfit_logs() -> [Unfit; 5] {
     const STAMP: i64 = 1_767_225_600_000_000_000;
-    let dir = tempfile::tempdir().unwrap();
     let car = |x: f64| Box3::new("Car", [x, 3.0, 0.8], [4.2, 1.8, 1.6], 0.4);
     let train = Box3::new("Tram", [10.0, 3.0, 1.5], [31.2, 2.5, 3.5], 0.0);
     let many: Vec<Box3> = (0..300).map(|index| car(f64::from(index))).collect();
-    let munich = Some([48.1374, 11.5755, 519.0]);
-    let cases: [(&str, i64, Vec<Box3>, Option<[f64; 3]>, &str); 5] = [
-        (
-            "origin",
-            STAMP,
-            vec![car(5.0)],
-            None,
-            "expected `map_origin` in the log or --origin",
-        ),
-        (
-            "many",
-            STAMP,
-            many,
-            munich,
-            "expected at most 255 objects in a message, found 300",
-        ),
-        (
-            "long",
-            STAMP,
-            vec![car(5.0), train],
-            munich,
-            "object 1 (`Tram`): expected",
-        ),
-        ("far", STAMP, vec![car(1400.0)], munich, "object 0 (`Car`): expected"),
-        (
-            "time",
-            5_000_000_000,
-            vec![car(5.0)],
-            munich,
-            "expected a stamp from 2004 to 2143",
-        ),
-    ];
+    let of = |name, boxes, expected| Unfit {
+        name,
+        stamp: STAMP,
+        boxes,
+        origin: Some([48.1374, 11.5755, 519.0]),
+        expected,
+    };
+    [
+        Unfit {
+            origin: None,
+            ..of("origin", vec![car(5.0)], "expected `map_origin` in the log or --origin")
+        },
+        of("many", many, "expected at most 255 objects in a message, found 300"),
+        of("long", vec![car(5.0), train], "object 1 (`Tram`): expected"),
+        of("far", vec![car(1400.0)], "object 0 (`Car`): expected"),
+        Unfit {
+            stamp: 5_000_000_000,
+            ..of("time", vec![car(5.0)], "expected a stamp from 2004 to 2143")
+        },
+    ]
+}
+
+#[test]
+fn what_a_message_cannot_hold_is_refused_by_name_or_left_out_and_counted() {
+    let dir = tempfile::tempdir().unwrap();
     let mut said = BTreeMap::new();
-    for (name, stamp, boxes, origin, expected) in cases {
+    for unfit in unfit_logs() {
+        let (name, expected) = (unfit.name, unfit.expected);
         let log = dir.path().join(format!("{name}.mcap"));
-        log_of(&log, stamp, &boxes, origin);
+        log_of(&log, unfit.stamp, &unfit.boxes, unfit.origin);
         let out = dir.path().join(name);
         let error = try_export("cpm", &log, &out, &[], false).unwrap_err();
         assert!(error.contains(expected) && error.contains(name), "{error}");

@@ -80,16 +80,21 @@ impl Poses {
         [stamp, ready]: [Nanos; 2],
         map_from_body: &Isometry3<f64>,
     ) -> Result<(), ImportError> {
-        if let Some(found) = self.track.at(stamp) {
-            let apart = (found.translation.vector - map_from_body.translation.vector).norm();
-            let turned = found.rotation.angle_to(&map_from_body.rotation);
-            if !(apart <= SAME_M && turned <= SAME_RAD) {
-                let reason = format!(
-                    "expected the poses of the labels, found them {apart:.2} m and {turned:.3} rad apart at {stamp} ns; import with the \
-                     options that the export named, or remove this file: then poses are those of the labels"
-                );
-                return Err(ImportError::content(&self.path, reason));
-            }
+        let Some(found) = self.track.at(stamp) else {
+            let reason = format!(
+                "expected a pose within the time of the sweeps, found none at {stamp} ns; give the labels their `stamp_ns` again, or remove \
+                 this file: then poses are those of the labels"
+            );
+            return Err(ImportError::content(&self.path, reason));
+        };
+        let apart = (found.translation.vector - map_from_body.translation.vector).norm();
+        let turned = found.rotation.angle_to(&map_from_body.rotation);
+        if !(apart <= SAME_M && turned <= SAME_RAD) {
+            let reason = format!(
+                "expected the poses of the labels, found them {apart:.2} m and {turned:.3} rad apart at {stamp} ns; import with the \
+                 options that the export named, or remove this file: then poses are those of the labels"
+            );
+            return Err(ImportError::content(&self.path, reason));
         }
         if !self.all && self.last == Nanos::MIN {
             let begin = stamp.saturating_sub(AROUND);

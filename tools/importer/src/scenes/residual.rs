@@ -24,8 +24,10 @@ const LEAST_COMMON: usize = 30;
 /// The place of the poses has so many times the points of both that any other has, or another has them.
 const CLEARLY: f64 = 1.2;
 /// Other places that are tried: moved by so much in eight directions, m, and turned about the sensor, rad.
-const MOVED: [f64; 3] = [1.5, 3.0, 5.0];
-const TURNED: [f64; 5] = [-0.35, -0.17, 0.0, 0.17, 0.35];
+const MOVED: [f64; 4] = [0.75, 1.5, 3.0, 5.0];
+const TURNED: [f64; 7] = [-0.35, -0.17, -0.05, 0.0, 0.05, 0.17, 0.35];
+/// Points of the sample of which one is looked up at other places.
+const THINNED: usize = 4;
 
 /// How far the points of an agent are from those of another.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -46,15 +48,10 @@ pub struct Residual {
 pub enum Fit {
     /// There clearly more points are seen by both than at any other place that was tried.
     Confirmed,
-    /// Too little is seen by both.
+    /// Too little is seen by both, or nearly as much fits elsewhere, as along a straight street.
     Unknown,
-    /// Clearly more points are seen by both after this motion of the one about its sensor.
-    Elsewhere {
-        /// By so much, m.
-        metres: f64,
-        /// By so much, degrees.
-        degrees: f64,
-    },
+    /// Clearly more points are seen by both after a motion of the one about its sensor.
+    Elsewhere,
 }
 
 impl fmt::Display for Residual {
@@ -67,16 +64,17 @@ impl fmt::Display for Residual {
         }
         write!(f, " over {} points within {REACH} m of both", self.points)?;
         match self.place {
+            Fit::Elsewhere => write!(
+                f,
+                "; more fits elsewhere, so poses, frames, clocks or the hand are probably wrong: look at a picture of it, and try --handed \
+                 and --pose-key; in a map file of bags correct `pose`, `frame` or `offset`"
+            ),
             Fit::Confirmed => Ok(()),
             _ if self.metres.is_some_and(|metres| metres <= FITS) => Ok(()),
             Fit::Unknown => write!(
                 f,
-                "; too little is seen by both to tell whether their poses are right: look at a picture of it"
-            ),
-            Fit::Elsewhere { metres, degrees } => write!(
-                f,
-                "; after a motion of {metres} m and {degrees:.0}° more fits, so their poses, frames or clocks are probably wrong: look at \
-                 a picture of it, and try --pose-key; in a map file of bags correct `pose`, `frame` or `offset`"
+                "; this does not show whether their poses are right: look at a picture of it; if points are not on the boxes, try --handed \
+                 and --pose-key"
             ),
         }
     }
@@ -132,7 +130,7 @@ impl<'a> Cells<'a> {
             let shift = Vector3::new(moved * libm::cos(angle), moved * libm::sin(angle), 0.0);
             let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turned);
             let motion = |point: &&Vector3<f64>| self.nearest(&(about + turn * (*point - about) + shift)) <= FITS;
-            points.iter().filter(motion).count()
+            points.iter().step_by(THINNED).filter(motion).count()
         };
         let directions = (0..8).map(|i| f64::from(i) * std::f64::consts::FRAC_PI_4);
         let moves = directions
@@ -140,18 +138,12 @@ impl<'a> Cells<'a> {
             .chain([[0.0; 2]]);
         let motions = moves.flat_map(|[moved, angle]| TURNED.map(|turned| [moved, angle, turned]));
         let others = motions.filter(|[moved, _, turned]| *moved > 0.0 || *turned != 0.0);
-        let other = others
-            .map(|motion| (common(motion), motion))
-            .max_by_key(|(count, _)| *count);
-        let (most, [metres, _, turned]) = other.unwrap_or_default();
+        let most = others.map(common).max().unwrap_or_default();
         let here = common([0.0; 3]);
         match (here as f64, most as f64) {
             (here, most) if here.max(most) < LEAST_COMMON as f64 => Fit::Unknown,
             (here, most) if here >= CLEARLY * most => Fit::Confirmed,
-            (here, most) if most >= CLEARLY * here => Fit::Elsewhere {
-                metres,
-                degrees: turned.to_degrees(),
-            },
+            (here, most) if most >= CLEARLY * here => Fit::Elsewhere,
             _ => Fit::Unknown,
         }
     }
@@ -186,7 +178,7 @@ mod tests {
 
     /// Two walls at a right angle, and a post.
     fn walls() -> Vec<Vector3<f64>> {
-        let along = (0..200).map(|i| f64::from(i) * 0.1);
+        let along = (0..800).map(|i| f64::from(i) * 0.025);
         let walls = along.flat_map(|s| [Vector3::new(s, 8.0, 1.0), Vector3::new(12.0, s - 10.0, 1.5)]);
         walls.chain([Vector3::new(3.0, 2.0, 1.0); 20]).collect()
     }
@@ -202,13 +194,19 @@ mod tests {
         assert_eq!(cells.place(&ours, &Vector3::zeros()), Fit::Confirmed);
         let moved: Vec<_> = theirs.iter().map(|point| point + Vector3::new(3.0, 0.0, 0.0)).collect();
         let place = cells.place(&moved, &Vector3::zeros());
-        assert_eq!(
-            place,
-            Fit::Elsewhere {
-                metres: 3.0,
-                degrees: 0.0
-            }
-        );
+        assert_eq!(place, Fit::Elsewhere);
+        // Off the grid of motions, and turned.
+        let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.15);
+        let turned: Vec<_> = theirs
+            .iter()
+            .map(|point| turn * point + Vector3::new(0.3, -2.7, 0.0))
+            .collect();
+        assert_ne!(cells.place(&turned, &Vector3::zeros()), Fit::Confirmed);
+        // Along one wall nothing shows the place.
+        let wall: Vec<_> = (0..4000)
+            .map(|i| Vector3::new(0.05 * f64::from(i) - 100.0, 8.0, 1.0))
+            .collect();
+        assert_eq!(Cells::new(&wall).place(&wall, &Vector3::zeros()), Fit::Unknown);
         assert_eq!(cells.place(&moved[..10], &Vector3::zeros()), Fit::Unknown);
     }
 }

@@ -187,16 +187,22 @@ impl Writing<'_> {
     /// Checks that a stamp of a file is later than that of the agent's sweep before it.
     fn in_order(&mut self, number: u64, sweep: &BodySweep) -> Result<(), ImportError> {
         let newest = self.newest[sweep.agent].replace(sweep.stamp);
-        let Some(newest) = newest.filter(|newest| sweep.is_stamped && *newest >= sweep.stamp) else {
-            return Ok(());
-        };
         let agent = &self.import.scene.agents[sweep.agent];
         let labels = agent.sweeps.get(&number).map(|files| files.labels.as_path());
-        let reason = format!(
-            "stamp of the sweep: expected one later than that of the sweep before, {newest} ns, found {} ns; correct it, or remove \
-             the key from all files of `{}`",
-            sweep.stamp, agent.folder
-        );
+        let reason = if self.known[sweep.agent].said.contains(&"stamps") != sweep.is_stamped {
+            format!(
+                "stamp of the sweep: expected one in all files of `{}` or in none, found it in some; add it, or remove the key from all",
+                agent.folder
+            )
+        } else if let Some(newest) = newest.filter(|newest| sweep.is_stamped && *newest >= sweep.stamp) {
+            format!(
+                "stamp of the sweep: expected one later than that of the sweep before, {newest} ns, found {} ns; correct it, or remove \
+                 the key from all files of `{}`",
+                sweep.stamp, agent.folder
+            )
+        } else {
+            return Ok(());
+        };
         Err(ImportError::content(labels.unwrap_or(self.import.dir), reason))
     }
 

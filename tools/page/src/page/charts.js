@@ -470,7 +470,7 @@ function silenceTable() {
     });
   });
   if (!rows.length) return null;
-  return el("figure", { class: "span" }, el("figcaption", {}, "Times without data of others", el("small", {}, `A second or longer in which nothing of others was fused: share of the objects that was found then, and in the rest of this scene${scoreWords()}`)),
+  return el("figure", { class: "span" }, el("figcaption", {}, "Times without data of others", el("small", {}, `A second or longer in which nothing of others was fused: share of the objects that was found then, and in the rest of this scene${scoreWords()}${rows.length > 40 ? `; the first 40 of ${rows.length}` : ""}`)),
     el("div", { class: "wide" }, table(["run", "when", "found then", "found in the rest", ...(shown.length > 1 ? shown.map((other) => `found then by ${DOC.runs[other].name}`) : [])], rows.slice(0, 40))));
 }
 

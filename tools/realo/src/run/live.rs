@@ -17,7 +17,7 @@ pub fn asked(args: &Args) -> Option<PathBuf> {
     let [only] = &args.graphs[..] else { return None };
     // What cannot be found or read is said by the run of a log.
     let file = find::graph(only).ok()?;
-    let graph = Graph::load(&file).and_then(|graph| graph.expand()).ok()?;
+    let graph = Graph::load(&file).ok()?.expand().ok()?;
     let mut programs = graph.nodes.iter().filter(|node| node.program().is_some());
     let brings = programs.any(|node| node.inputs.is_empty());
     let plays = deciding(&graph, roles::LOG).next().is_some();
@@ -43,7 +43,7 @@ pub fn main(args: &Args, file: &Path) -> Result<Outcome> {
     signals::begin();
     let mut folders = Folders::default();
     folders.lock(&out)?;
-    folders.claim(&out, &[])?;
+    folders.claim(&out, &recordings(&graph, &out))?;
     machine::open_doors(&graph)
         .iter()
         .for_each(|line| eprintln!("realo: {line}"));
@@ -71,15 +71,32 @@ pub fn main(args: &Args, file: &Path) -> Result<Outcome> {
     })
 }
 
+/// What its recorders write into the folder of results.
+fn recordings(graph: &FlatGraph, out: &Path) -> Vec<PathBuf> {
+    let nodes = deciding(graph, roles::RECORDING);
+    let files = nodes.filter_map(|node| argument(node, decided_argument(node, roles::RECORDING)?));
+    files.map(PathBuf::from).filter(|file| file.starts_with(out)).collect()
+}
+
 /// The graph with what the options put into it.
 fn prepared(args: &Args, file: &Path) -> Result<FlatGraph> {
     let mut set = prepare::settings(args)?;
-    let mut graph = prepare::base_graph(args, &mut set, file, &[roles::OUT])?;
+    let graph = prepare::base_graph(args, &mut set, file, &[roles::OUT])?;
+    prepare::report_machines(&graph, file);
+    let mut graph = graph.on_one_machine();
     if let Some(model) = &args.choices.model {
         set_model(&mut graph, model)?;
     }
     if let Some(out) = &args.out {
-        decide(&mut graph, roles::OUT, &std::path::absolute(out)?.to_string_lossy());
+        let out = std::path::absolute(out)?;
+        decide(&mut graph, roles::OUT, &out.to_string_lossy());
+        for node in &mut graph.nodes {
+            if let Some(key) = decided_argument(node, roles::RECORDING) {
+                let file = PathBuf::from(argument(node, key).unwrap_or_default());
+                let name = file.file_name().unwrap_or("recording.mcap".as_ref());
+                node.set(key, &out.join(name).to_string_lossy());
+            }
+        }
     }
     Ok(graph)
 }

@@ -307,7 +307,7 @@ fn fitting_protocols(graph: &FlatGraph, log: &Log, ego: &str) -> Result<()> {
 }
 
 /// Says that all machines of a graph are this one.
-fn report_machines(graph: &FlatGraph, path: &Path) {
+pub(super) fn report_machines(graph: &FlatGraph, path: &Path) {
     let machines: Vec<&str> = graph.machines().into_iter().collect();
     if !machines.is_empty() {
         eprintln!(

@@ -74,6 +74,10 @@ impl Agents {
                 continue;
             };
             if topic == options.boxes.topic() && channel.schema == Schema::Detection3DArray.name() {
+                // Names become folders.
+                realo_logs::check_agent_name(agent).map_err(|reason| {
+                    ExportError::unfit(file.path(), format!("topic `{}`: {reason}", channel.topic))
+                })?;
                 names.insert(agent.to_string());
             }
         }
