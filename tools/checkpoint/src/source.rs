@@ -55,7 +55,7 @@ impl Source {
         file.by_ref().take(HEAD).read_to_end(&mut begin)?;
         file.rewind()?;
         match begin[..] {
-            [b'P', b'K', 3, 4] => zip(file),
+            [b'P', b'K', 3, 4, ..] => zip(file),
             [0x80, 2, ..] => {
                 let (pickle, places) = legacy::read(&mut file)?;
                 Ok((Source::Legacy { file, places }, pickle))

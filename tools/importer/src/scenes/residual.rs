@@ -25,7 +25,7 @@ const LEAST_COMMON: usize = 30;
 const CLEARLY: f64 = 1.2;
 /// Other places that are tried: moved by so much in eight directions, m, and turned about the sensor, rad.
 const MOVED: [f64; 4] = [0.75, 1.5, 3.0, 5.0];
-const TURNED: [f64; 7] = [-0.35, -0.17, -0.05, 0.0, 0.05, 0.17, 0.35];
+const TURNED: [f64; 5] = [-0.35, -0.17, 0.0, 0.17, 0.35];
 /// Points of the sample of which one is looked up at other places.
 const THINNED: usize = 4;
 
