@@ -27,7 +27,7 @@ const CLEARLY: f64 = 1.2;
 const MOVED: [f64; 4] = [0.75, 1.5, 3.0, 5.0];
 const TURNED: [f64; 5] = [-0.35, -0.17, 0.0, 0.17, 0.35];
 /// Points of the sample of which one is looked up at other places.
-const THINNED: usize = 4;
+const THINNED: usize = 3;
 
 /// How far the points of an agent are from those of another.
 #[derive(Clone, Debug, PartialEq, Serialize)]
