@@ -1,5 +1,7 @@
 //! From drives to poses in one frame: alignment, loops, pose graph.
 
+use std::borrow::Borrow;
+
 use nalgebra::{Isometry3, Vector6};
 use realo_pose_graph::{Edge, GraphError, Level, PoseGraph, Prior, Solution, SolverSettings};
 use realo_registration::{Search, SettingError};
@@ -119,7 +121,9 @@ struct Placed<'a> {
 ///
 /// # Errors
 /// [`MappingError`]: nothing to place, or a graph without a solution.
-pub fn solve(drives: &[Drive], voxel_m: f64) -> Result<Mapped, MappingError> {
+pub fn solve(drives: &[impl Borrow<Drive>], voxel_m: f64) -> Result<Mapped, MappingError> {
+    let drives: Vec<&Drive> = drives.iter().map(Borrow::borrow).collect();
+    let drives = &drives[..];
     let (placed, mut nodes, is_anchored) = placed(drives)?;
     let mut graph = graph_of(&placed, &nodes, is_anchored);
     graph.solve(&SolverSettings::default())?;
@@ -174,7 +178,7 @@ pub fn solve(drives: &[Drive], voxel_m: f64) -> Result<Mapped, MappingError> {
 }
 
 /// The pieces that can be placed, by GNSS; where there is none at all, the longest alone.
-fn placed(drives: &[Drive]) -> Result<(Vec<Placed<'_>>, Nodes<'_>, bool), MappingError> {
+fn placed<'a>(drives: &[&'a Drive]) -> Result<(Vec<Placed<'a>>, Nodes<'a>, bool), MappingError> {
     let mut pieces = Vec::new();
     for (drive, of) in drives.iter().enumerate() {
         for piece in of.pieces.iter().filter(|piece| !piece.keyframes.is_empty()) {
@@ -297,7 +301,7 @@ struct Parts<'a> {
 }
 
 impl Parts<'_> {
-    fn drive(&self, drives: &[Drive], drive: usize, graph: &PoseGraph) -> Result<MappedDrive, GraphError> {
+    fn drive(&self, drives: &[&Drive], drive: usize, graph: &PoseGraph) -> Result<MappedDrive, GraphError> {
         let (mut track, mut before) = (empty(), empty());
         let mut numbers = Vec::new();
         let (mut parts, mut has_heading) = (0, false);

@@ -5,6 +5,7 @@ use std::collections::BTreeSet;
 use realo_operator::{Class, KnownMap, Port, Registration, Role};
 use realo_schemas::PayloadType;
 
+use super::wires::{Wires, carries};
 use super::{Findings, FlatGraph, FlatNode, Severity};
 
 /// What carries maps as they are.
@@ -22,7 +23,7 @@ pub(super) fn check(graph: &FlatGraph, stages: &[Option<&'static Registration>],
                 continue;
             };
             let mut made = Vec::new();
-            wires.follow(wire, &mut BTreeSet::new(), &mut made);
+            wires.makers(wire, &mut BTreeSet::new(), &mut made);
             for (maker, map) in made {
                 if let Some((dimension, expected, found)) = taken.differs(&map) {
                     let expected = format!("maps of {expected} {dimension} ({})", taken.by);
@@ -46,14 +47,9 @@ fn known(node: &FlatNode, stage: &Registration, port: &Port) -> Option<KnownMap>
     of_program().or_else(of_settings)
 }
 
-struct Wires<'a> {
-    graph: &'a FlatGraph,
-    stages: &'a [Option<&'static Registration>],
-}
-
 impl<'a> Wires<'a> {
     /// Finds who made the maps that come on an output, through stages that carry them as they are; those of others are not known.
-    fn follow(
+    fn makers(
         &self,
         (id, output): (&'a str, &'a str),
         seen: &mut BTreeSet<(&'a str, &'a str)>,
@@ -62,32 +58,30 @@ impl<'a> Wires<'a> {
         if !seen.insert((id, output)) {
             return;
         }
-        let at = self.graph.nodes.iter().position(|node| node.id == id);
-        let Some((node, stage)) = at.and_then(|at| Some((&self.graph.nodes[at], self.stages[at]?))) else {
-            return;
-        };
+        let Some((node, stage)) = self.at(id) else { return };
         let Some((_, port)) = stage.output(output) else { return };
         if let Some(map) = known(node, stage, port) {
             made.push((node, map));
             return;
         }
-        if !carries(stage) {
+        if !is_carrier(stage) {
             return;
         }
         for input in stage
             .inputs
             .iter()
             .filter(|input| !input.feedback && input.class != Class::Query && may_hold_maps(input))
+            .filter(|input| carries(input, stage, output))
         {
             if let Some(wire) = node.inputs.get(input.name).and_then(|input| input.output()) {
-                self.follow(wire, seen, made);
+                self.makers(wire, seen, made);
             }
         }
     }
 }
 
 /// Whether a stage packs maps, carries packets, unpacks or chooses: it changes no size of a map.
-fn carries(stage: &Registration) -> bool {
+fn is_carrier(stage: &Registration) -> bool {
     let mut ports = stage.inputs.iter().chain(stage.outputs);
     let crosses = ports.any(|port| port.types.iter().any(|kind| *kind == CARRIERS[0]));
     let chooses = stage.outputs.iter().any(|port| port.types.contains(&CARRIERS[1]));

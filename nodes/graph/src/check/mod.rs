@@ -8,6 +8,7 @@ mod maps;
 mod packets;
 mod ports;
 mod processes;
+mod wires;
 
 use std::fmt;
 

@@ -2,10 +2,11 @@
 
 use std::collections::BTreeSet;
 
-use realo_operator::{Port, Registration, Role, Side};
+use realo_operator::{Port, Registration, Role};
 use realo_schemas::{Kind, PayloadType};
 
 use super::ports::payload_type;
+use super::wires::{Wires, carries};
 use super::{Findings, FlatGraph, FlatNode, Severity};
 
 /// What is known of the packets on a wire: their kinds, and the stages that pack them.
@@ -27,7 +28,7 @@ pub(super) fn check(graph: &FlatGraph, stages: &[Option<&'static Registration>],
             };
             let mut packed = Packed::default();
             let is_known = wires
-                .follow((source, output), &mut BTreeSet::new(), &mut packed)
+                .packers((source, output), &mut BTreeSet::new(), &mut packed)
                 .is_some();
             if is_known && !packed.kinds.is_empty() {
                 taken(node, port, &packed, findings);
@@ -75,14 +76,9 @@ fn taken(node: &FlatNode, port: &Port, packed: &Packed, findings: &mut Findings)
     }
 }
 
-struct Wires<'a> {
-    graph: &'a FlatGraph,
-    stages: &'a [Option<&'static Registration>],
-}
-
 impl<'a> Wires<'a> {
     /// Finds who packs what comes on an output; `None` where that is not known, as behind a radio.
-    fn follow(
+    fn packers(
         &self,
         (id, output): (&'a str, &'a str),
         seen: &mut BTreeSet<(&'a str, &'a str)>,
@@ -91,9 +87,7 @@ impl<'a> Wires<'a> {
         if !seen.insert((id, output)) {
             return Some(());
         }
-        let at = self.graph.nodes.iter().position(|node| node.id == id)?;
-        let node = &self.graph.nodes[at];
-        let stage = self.stages[at].filter(|stage| stage.role == Role::Operator)?;
+        let (node, stage) = self.at(id).filter(|(_, stage)| stage.role == Role::Operator)?;
         let carried = |port: &&Port| is_packet(port) && carries(port, stage, output);
         let carried: Vec<&Port> = stage.inputs.iter().filter(carried).collect();
         if carried.is_empty() {
@@ -113,17 +107,6 @@ impl<'a> Wires<'a> {
         let wires = carried.iter().filter_map(|port| node.inputs.get(port.name));
         wires
             .map(|wire| wire.output())
-            .try_for_each(|source| self.follow(source?, seen, packed))
-    }
-}
-
-/// Whether what comes on an input leaves by an output: a link has a way there and a way back.
-fn carries(input: &Port, stage: &Registration, output: &str) -> bool {
-    match (input.side, stage.output(output).and_then(|(_, port)| port.side)) {
-        (Some(from), Some(to)) => matches!(
-            (from, to),
-            (Side::Others, Side::OthersReceived) | (Side::Ego, Side::EgoReceived)
-        ),
-        _ => true,
+            .try_for_each(|source| self.packers(source?, seen, packed))
     }
 }

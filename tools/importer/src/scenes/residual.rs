@@ -39,7 +39,7 @@ pub struct Residual {
     /// Points that were looked up.
     pub points: usize,
     /// What other places of the one to the other say.
-    pub place: Fit,
+    pub fit: Fit,
 }
 
 /// Whether clouds fit best where the poses put them. A median says little of agents that see the same things from different sides.
@@ -63,7 +63,7 @@ impl fmt::Display for Residual {
             None => write!(f, "median distance of more than {CELL} m")?,
         }
         write!(f, " over {} points within {REACH} m of both", self.points)?;
-        match self.place {
+        match self.fit {
             Fit::Elsewhere => write!(
                 f,
                 "; more fits elsewhere, so poses, frames, clocks or the hand are probably wrong: look at a picture of it, and try --handed \
@@ -125,7 +125,7 @@ impl<'a> Cells<'a> {
     }
 
     /// What places around those of the poses say; `about` is the sensor of the points.
-    fn place(&self, points: &[Vector3<f64>], about: &Vector3<f64>) -> Fit {
+    fn fit(&self, points: &[Vector3<f64>], about: &Vector3<f64>) -> Fit {
         let common = |[moved, angle, turned]: [f64; 3]| {
             let shift = Vector3::new(moved * libm::cos(angle), moved * libm::sin(angle), 0.0);
             let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turned);
@@ -168,7 +168,7 @@ pub fn residual(a: &Placed, b: &Placed) -> Option<Residual> {
         agents: [a.name.into(), b.name.into()],
         metres: Some(distances[distances.len() / 2]).filter(|metres| *metres <= CELL),
         points: distances.len(),
-        place: cells.place(&sample, &a.map_from_body.translation.vector),
+        fit: cells.fit(&sample, &a.map_from_body.translation.vector),
     })
 }
 
@@ -187,13 +187,13 @@ mod tests {
     fn clouds_fit_best_where_their_poses_are_right() {
         let theirs = walls();
         let cells = Cells::new(&theirs);
-        assert_eq!(cells.place(&theirs, &Vector3::zeros()), Fit::Confirmed);
+        assert_eq!(cells.fit(&theirs, &Vector3::zeros()), Fit::Confirmed);
         // What the one sees and the other does not changes nothing.
         let far = (0..2000).map(|i| Vector3::new(-0.02 * f64::from(i), -30.0, 1.0));
         let ours: Vec<_> = theirs.iter().copied().chain(far).collect();
-        assert_eq!(cells.place(&ours, &Vector3::zeros()), Fit::Confirmed);
+        assert_eq!(cells.fit(&ours, &Vector3::zeros()), Fit::Confirmed);
         let moved: Vec<_> = theirs.iter().map(|point| point + Vector3::new(3.0, 0.0, 0.0)).collect();
-        let place = cells.place(&moved, &Vector3::zeros());
+        let place = cells.fit(&moved, &Vector3::zeros());
         assert_eq!(place, Fit::Elsewhere);
         // Off the grid of motions, and turned.
         let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), 0.15);
@@ -201,12 +201,12 @@ mod tests {
             .iter()
             .map(|point| turn * point + Vector3::new(0.3, -2.7, 0.0))
             .collect();
-        assert_ne!(cells.place(&turned, &Vector3::zeros()), Fit::Confirmed);
+        assert_ne!(cells.fit(&turned, &Vector3::zeros()), Fit::Confirmed);
         // Along one wall nothing shows the place.
         let wall: Vec<_> = (0..4000)
             .map(|i| Vector3::new(0.05 * f64::from(i) - 100.0, 8.0, 1.0))
             .collect();
-        assert_eq!(Cells::new(&wall).place(&wall, &Vector3::zeros()), Fit::Unknown);
-        assert_eq!(cells.place(&moved[..10], &Vector3::zeros()), Fit::Unknown);
+        assert_eq!(Cells::new(&wall).fit(&wall, &Vector3::zeros()), Fit::Unknown);
+        assert_eq!(cells.fit(&moved[..10], &Vector3::zeros()), Fit::Unknown);
     }
 }

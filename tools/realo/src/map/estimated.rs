@@ -70,7 +70,7 @@ pub fn estimate(logs: &[Log], agents: &[Vec<String>], voxel_m: f64) -> Result<Es
         driven.push(follow(logs, log, agent, voxel_m, &progress)?);
     }
     progress.finish();
-    let drives: Vec<Drive> = driven.iter().map(|driven| driven.drive.clone()).collect();
+    let drives: Vec<&Drive> = driven.iter().map(|driven| &driven.drive).collect();
     let found = solve(&drives, voxel_m)?;
     let mut posed: Vec<BTreeMap<String, Agent>> = logs.iter().map(|_| BTreeMap::new()).collect();
     for (of, mapped) in driven
