@@ -1,6 +1,6 @@
 //! A dora node that passes messages on, but drops, repeats and swaps some of them; for tests of what receivers notice.
 //!
-//! Of ten messages it drops the 4th, sends the 6th twice and the 8th behind the 9th; with `repeat` it only repeats. Writes
+//! Of ten messages it drops the 4th, sends the 6th twice and the 8th behind what comes next; with `repeat` it only repeats. Writes
 //! what it did to the file that its first argument names.
 
 use dora_node_api::dora_core::config::DataId;
@@ -20,25 +20,25 @@ fn main() -> eyre::Result<()> {
         let Event::Input { data, metadata, .. } = event else {
             continue;
         };
-        if !is_packet(&data) {
-            // Marks of the driver, which are no messages of the stream.
-            node.send_output(output.clone(), metadata.parameters, data)?;
-            continue;
-        }
-        n += 1;
         let behind = held.take();
-        match n % 10 {
-            4 if all => dropped += 1,
-            6 => {
-                repeated += 1;
-                node.send_output(output.clone(), Default::default(), data.clone())?;
-                node.send_output(output.clone(), Default::default(), data)?;
+        if is_packet(&data) {
+            n += 1;
+            match n % 10 {
+                4 if all => dropped += 1,
+                6 => {
+                    repeated += 1;
+                    node.send_output(output.clone(), Default::default(), data.clone())?;
+                    node.send_output(output.clone(), Default::default(), data)?;
+                }
+                8 if all => {
+                    swapped += 1;
+                    held = Some(data);
+                }
+                _ => node.send_output(output.clone(), Default::default(), data)?,
             }
-            8 if all => {
-                swapped += 1;
-                held = Some(data);
-            }
-            _ => node.send_output(output.clone(), Default::default(), data)?,
+        } else {
+            // Marks of the driver go through as they are. They are numbered like packets, so one of them may be the 9th.
+            node.send_output(output.clone(), metadata.parameters, data)?;
         }
         if let Some(behind) = behind {
             node.send_output(output.clone(), Default::default(), behind)?;

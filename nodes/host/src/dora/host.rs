@@ -1,5 +1,6 @@
 //! The process: one thread for dora, and threads for calls.
 
+mod outbox;
 mod shared;
 
 use std::collections::{BTreeMap, BTreeSet};
@@ -9,7 +10,7 @@ use std::time::{Duration, Instant};
 
 use dora_node_api::DoraNode;
 use dora_node_api::dora_core::config::DataId;
-use realo_engine::{Engine, EngineError, Servers, Step, Task};
+use realo_engine::{Engine, EngineError, Leaving, Servers, Step, Task};
 use realo_operator::{Built, InputBooks, Outputs, PortId, Registration, Waker};
 use realo_schemas::{Message, Nanos, wire};
 
@@ -17,6 +18,7 @@ use crate::Stages;
 use crate::tap::tap_of_this_process;
 use crate::time::wall_now;
 
+use self::outbox::Outbox;
 use super::edges::Edge;
 use super::inbox::{Heard, Inbox};
 use super::load::Load;
@@ -86,7 +88,7 @@ pub(super) fn run(joined: Joined) -> Result<(), HostError> {
             over: false,
         }),
         work: Condvar::new(),
-        sender: Mutex::new(Some(node)),
+        outbox: Outbox::new(Some(node)),
         last_sent: AtomicI64::new(0),
         exits,
         wake: inbox.wake(),
@@ -208,10 +210,10 @@ fn call(
     let done = state.log_now().max(ticket.start);
     let completed = state.engine.complete(&ticket, called, done, took);
     completed.map_err(|error: EngineError| HostError::Stage(error.to_string()))?;
-    let leaving = state.engine.take_leaving();
+    shared.post(&mut state);
     shared.follow(&mut state, done);
     drop(state);
-    shared.send_all(leaving)?;
+    shared.send_posted()?;
     let mut state = shared.lock();
     let now = state.log_now();
     state.engine.free(&ticket, now, now);
@@ -419,14 +421,13 @@ impl Host {
             tap.see_fates(&mark.fates);
         }
         let clock = state.engine.clock();
-        let open = shared.exits.keys().filter(|exit| !self.ended.contains(exit));
-        let exits: Vec<_> = open
-            .map(|(stage, port)| ((*stage, *port), state.engine.take_hop(*stage, *port)))
-            .collect();
-        drop(state);
-        for (exit, hop) in exits {
-            shared.send(exit, &mark.to_message(hop, clock))?;
+        let open = shared.exits.keys().filter(|exit| !self.ended.contains(*exit));
+        for (stage, port) in open.copied() {
+            let message = mark.to_message(state.engine.take_hop(stage, port), clock);
+            shared.outbox.post([Leaving { stage, port, message }]);
         }
+        drop(state);
+        shared.send_posted()?;
         Ok(Some(mark))
     }
 

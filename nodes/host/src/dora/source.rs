@@ -105,7 +105,7 @@ fn release(
     let mut state = shared.lock();
     let now = state.log_now();
     state.engine.release(stage, port, message, time, now);
-    let leaving = state.engine.take_leaving();
+    shared.post(&mut state);
     shared.follow(&mut state, now);
     let first = is_first.then(|| {
         let output = state.engine.registration(stage).outputs[port.0].name;
@@ -115,7 +115,7 @@ fn release(
         )
     });
     drop(state);
-    shared.send_all(leaving)?;
+    shared.send_posted()?;
     if let Some(first) = first {
         eprintln!("{first}");
     }

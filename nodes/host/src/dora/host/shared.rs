@@ -12,6 +12,7 @@ use realo_operator::{Built, PortId};
 use realo_schemas::{Message, Nanos, wire};
 
 use super::LINGER;
+use super::outbox::Outbox;
 use crate::Tap;
 use crate::dora::HostError;
 use crate::dora::inbox::WakeHandle;
@@ -20,14 +21,16 @@ use crate::dora::marks::{End, Hello};
 use crate::stages::Tapped;
 use crate::time::wall_now;
 
+/// `None` once the process has left dora.
+pub(super) type Sender = Option<DoraNode>;
+
 /// What all threads of the process share.
 pub(crate) struct Shared {
     pub id: String,
     pub(super) state: Mutex<State>,
     /// There may be a call to make.
     pub(super) work: Condvar,
-    /// `None` once the process has left dora.
-    pub(super) sender: Mutex<Option<DoraNode>>,
+    pub(super) outbox: Outbox<Leaving, Sender>,
     /// Wall time of the last message.
     pub(super) last_sent: AtomicI64,
     pub(super) exits: BTreeMap<(usize, PortId), Vec<DataId>>,
@@ -91,44 +94,56 @@ impl Shared {
         }
     }
 
-    /// Sends what leaves the process.
-    pub fn send_all(&self, leaving: Vec<Leaving>) -> Result<(), HostError> {
-        leaving.into_iter().try_for_each(|Leaving { stage, port, message }| {
-            if let (Some(tap), Some(output)) = (&self.tap, self.tapped.get(&(stage, port))) {
-                tap.see(*output, &message);
+    /// Puts what leaves the process into the outbox.
+    pub fn post(&self, state: &mut State) {
+        let leaving = state.engine.take_leaving();
+        if let Some(tap) = &self.tap {
+            for Leaving { stage, port, message } in &leaving {
+                if let Some(output) = self.tapped.get(&(*stage, *port)) {
+                    tap.see(*output, message);
+                }
             }
-            self.send((stage, port), &message)
-        })
+        }
+        self.outbox.post(leaving);
+    }
+
+    /// Sends what is in the outbox.
+    pub fn send_posted(&self) -> Result<(), HostError> {
+        self.outbox
+            .send_all(|sender, Leaving { stage, port, message }| self.send(sender, (stage, port), &message))
     }
 
     /// Sends a mark on every output.
     pub fn send_hello(&self) -> Result<(), HostError> {
         let clock = self.lock().engine.clock();
         let hello = Hello.to_message(clock);
-        self.exits.keys().try_for_each(|exit| self.send(*exit, &hello))
+        let mut sender = self.outbox.sender();
+        self.exits
+            .keys()
+            .try_for_each(|exit| self.send(&mut sender, *exit, &hello))
     }
 
-    pub(super) fn send(&self, exit: (usize, PortId), message: &Message) -> Result<(), HostError> {
+    fn send(&self, sender: &mut Sender, exit: (usize, PortId), message: &Message) -> Result<(), HostError> {
         self.last_sent.store(wall_now(), Ordering::Relaxed);
-        self.give_dora(exit, |node, output| {
+        self.give_dora(sender, exit, |node, output| {
             node.send_output(output, MetadataParameters::new(), wire::to_arrow(message))
         })
     }
 
     pub(super) fn end(&self, exit: (usize, PortId), end: &End) -> Result<(), HostError> {
-        self.give_dora(exit, |node, output| {
+        self.give_dora(&mut self.outbox.sender(), exit, |node, output| {
             node.send_output_sample(output, end.to_parameters(), None)
         })
     }
 
     fn give_dora(
         &self,
+        sender: &mut Sender,
         exit: (usize, PortId),
         mut send: impl FnMut(&mut DoraNode, DataId) -> NodeResult<()>,
     ) -> Result<(), HostError> {
+        let Some(node) = sender else { return Ok(()) };
         for output in self.exits.get(&exit).into_iter().flatten() {
-            let mut sender = self.sender();
-            let Some(node) = sender.as_mut() else { return Ok(()) };
             send(node, output.clone()).map_err(|error| HostError::Dora {
                 id: self.id.clone(),
                 reason: error.to_string(),
@@ -141,12 +156,8 @@ impl Shared {
     pub(super) fn leave(&self) {
         let left = self.last_sent.load(Ordering::Relaxed) + LINGER - wall_now();
         std::thread::sleep(Duration::from_nanos(u64::try_from(left).unwrap_or(0)));
-        let node = self.sender().take();
+        let node = self.outbox.sender().take();
         drop(node);
-    }
-
-    pub(super) fn sender(&self) -> MutexGuard<'_, Option<DoraNode>> {
-        self.sender.lock().unwrap_or_else(|poisoned| poisoned.into_inner())
     }
 
     /// Lets the dora thread look around.
