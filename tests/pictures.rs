@@ -199,6 +199,13 @@ fn a_run_has_its_rates_latencies_losses_and_bytes_on_its_arrows() {
         .flat_map(|stage| &stage.facts)
         .any(|fact| fact.contains(" ms a call"));
     assert!(taken, "some stage takes the time of the profile");
+    let (of_graph, _) = drawn(&root().join("dataflows/late_fusion.yml"));
+    let groups = |diagram: &Diagram| -> BTreeSet<String> {
+        let names = diagram.groups.iter().map(|group| group.name.clone());
+        names.collect()
+    };
+    assert_eq!(groups(&of_graph).len(), 2);
+    assert_eq!(groups(&diagram), groups(&of_graph));
     // The same in the terminal and in the file.
     let said = realo_ok(["graph".into(), run().to_string_lossy().into_owned()]);
     assert!(said.contains(&link) && !said.contains('\u{1b}'), "{said}");

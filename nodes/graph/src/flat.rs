@@ -23,6 +23,8 @@ pub struct FlatGraph {
     pub nodes: Vec<FlatNode>,
     /// The processes that host several stages.
     pub hosts: Vec<FlatNode>,
+    /// By the name of each process that a module only groups, the id of that module.
+    pub groups: BTreeMap<String, String>,
 }
 
 /// One stage of a graph, or one process.
@@ -375,6 +377,7 @@ impl FlatGraph {
             settings,
             nodes,
             hosts,
+            groups: BTreeMap::new(),
         })
     }
 

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use super::{FlatGraph, FlatNode, Graph, GraphError, InputSource, expand};
+use super::{FlatGraph, FlatNode, InputSource};
 
 /// The names of processes whose ids in dora begin with the id of a module that groups them, by that id.
 ///
@@ -30,18 +30,6 @@ pub fn short_names<'a>(processes: impl IntoIterator<Item = (&'a str, &'a str)>) 
     named.map(|(id, name)| (id.to_string(), name.to_string())).collect()
 }
 
-impl Graph {
-    /// By the name of each process that a module only groups, the id of that module.
-    ///
-    /// # Errors
-    /// As [`Graph::expand`].
-    pub fn groups(&self) -> Result<BTreeMap<String, String>, GraphError> {
-        let short = expand::as_dora(self, false)?.short_names().into_iter();
-        let group = |(id, name): (String, String)| Some((name, id.rsplit_once('.')?.0.to_string()));
-        Ok(short.filter_map(group).collect())
-    }
-}
-
 impl FlatGraph {
     /// As [`short_names`], of this graph.
     fn short_names(&self) -> BTreeMap<String, String> {
@@ -61,6 +49,8 @@ impl FlatGraph {
         if short.is_empty() {
             return self;
         }
+        let group = |(id, name): (&String, &String)| Some((name.clone(), id.rsplit_once('.')?.0.to_string()));
+        self.groups = short.iter().filter_map(group).collect();
         let mut names = short.clone();
         for stage in &mut self.nodes {
             let Some((host, name)) = stage.host.as_ref().and_then(|host| short.get_key_value(host)) else {
@@ -125,7 +115,7 @@ mod tests {
     #[test]
     fn which_module_groups_a_process_is_known() {
         let file = std::path::Path::new(env!("CARGO_MANIFEST_DIR")).join("../../dataflows/late_fusion.yml");
-        let groups = Graph::load(&file).unwrap().groups().unwrap();
+        let groups = FlatGraph::load(&file).unwrap().groups;
         let group = |process: &str| groups.get(process).map(String::as_str);
         assert_eq!(
             ["player", "others", "score", "ego", "fusion"].map(group),

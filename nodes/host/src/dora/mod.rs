@@ -136,6 +136,7 @@ fn alone(id: &str, words: &[String], inputs: &[String], folder: &Path) -> FlatGr
         settings: Default::default(),
         nodes: vec![FlatNode::alone(id, words, inputs)],
         hosts: Vec::new(),
+        groups: Default::default(),
     }
 }
 

@@ -11,6 +11,7 @@ use realo_results::{GraphStages, LinkBooks, Run, read_run};
 use realo_schemas::{Kind, PayloadType, to_millis};
 
 use super::stages::{self, types};
+use crate::run::described::{GROUP, PROCESS};
 use crate::{registry, roles};
 
 /// Below this nothing is said of a time, ms.
@@ -30,7 +31,7 @@ pub fn of_run(folder: &Path) -> Result<Diagram> {
         );
     }
     let graph = graph(&run.samples.graph, folder);
-    let mut diagram = stages::diagram(&graph, &Default::default())?;
+    let mut diagram = stages::diagram(&graph)?;
     let name = match run.result.settings.graph.as_str() {
         "" => "graph",
         name => name,
@@ -60,18 +61,23 @@ fn graph(stages: &GraphStages, folder: &Path) -> FlatGraph {
             node.path = words.next().unwrap_or_default().into();
         }
         node.args = words.collect();
-        node.host = entries.get("process").cloned();
+        node.host = entries.get(PROCESS).cloned();
         let inputs = entries
             .iter()
             .filter_map(|(key, wire)| Some((key.strip_prefix("inputs.")?, wire)));
         node.inputs = inputs.map(|(port, wire)| (port.to_string(), input(wire))).collect();
         node
     });
+    let groups = stages.iter().filter_map(|(id, entries)| {
+        let process = entries.get(PROCESS).unwrap_or(id);
+        Some((process.clone(), entries.get(GROUP)?.clone()))
+    });
     FlatGraph {
         file: folder.into(),
         settings: Default::default(),
         nodes: nodes.collect(),
         hosts: Vec::new(),
+        groups: groups.collect(),
     }
 }
 

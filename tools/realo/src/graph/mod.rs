@@ -9,7 +9,7 @@ use std::path::{Path, PathBuf};
 use eyre::Result;
 use realo_cli::{Force, Outcome, Output, expect_ending, find, write_whole};
 use realo_diagram::{Diagram, Terminal};
-use realo_graph::{FlatGraph, Graph};
+use realo_graph::FlatGraph;
 use realo_results::run_folder;
 
 use crate::tables;
@@ -66,13 +66,18 @@ pub fn diagram(path: &Path) -> Result<Diagram> {
         return measured::of_run(&folder);
     }
     let file = find::graph(path)?;
-    let graph = Graph::load(&file)?;
-    of_graph(&graph.expand()?, &graph)
+    let graph = FlatGraph::load(&file)?;
+    of_graph(&graph)
 }
 
-fn of_graph(flat: &FlatGraph, graph: &Graph) -> Result<Diagram> {
-    let name = flat.file.file_stem().unwrap_or_default().to_string_lossy().into_owned();
-    let mut diagram = stages::diagram(flat, &graph.groups()?)?;
+fn of_graph(graph: &FlatGraph) -> Result<Diagram> {
+    let name = graph
+        .file
+        .file_stem()
+        .unwrap_or_default()
+        .to_string_lossy()
+        .into_owned();
+    let mut diagram = stages::diagram(graph)?;
     diagram.title = stages::title(&name, &diagram);
     Ok(diagram)
 }

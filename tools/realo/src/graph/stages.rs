@@ -1,6 +1,5 @@
 //! What is drawn of an expanded graph.
 
-use std::collections::BTreeMap;
 use std::path::Path;
 
 use eyre::{Result, bail};
@@ -22,14 +21,14 @@ pub fn title(name: &str, diagram: &Diagram) -> String {
     )
 }
 
-/// The picture of a graph without a title. `groups` has by process the module that it was wired in with.
+/// The picture of a graph without a title.
 ///
 /// # Errors
 /// A wire from a stage that is not there.
-pub fn diagram(graph: &FlatGraph, groups: &BTreeMap<String, String>) -> Result<Diagram> {
+pub fn diagram(graph: &FlatGraph) -> Result<Diagram> {
     let mut diagram = Diagram::default();
     for node in &graph.nodes {
-        let process = process_of(&mut diagram, graph, node, groups);
+        let process = process_of(&mut diagram, graph, node);
         let inner = match &node.host {
             Some(host) => node.id.strip_prefix(&format!("{host}.")).unwrap_or(&node.id),
             None => &node.id,
@@ -47,7 +46,7 @@ pub fn diagram(graph: &FlatGraph, groups: &BTreeMap<String, String>) -> Result<D
             ..Stage::default()
         });
     }
-    group(&mut diagram, graph, groups);
+    group(&mut diagram, graph);
     for (at, node) in graph.nodes.iter().enumerate() {
         wire(&mut diagram, graph, at, node)?;
     }
@@ -55,7 +54,7 @@ pub fn diagram(graph: &FlatGraph, groups: &BTreeMap<String, String>) -> Result<D
 }
 
 /// The index of a stage's process, which is added where it is new.
-fn process_of(diagram: &mut Diagram, graph: &FlatGraph, node: &FlatNode, groups: &BTreeMap<String, String>) -> usize {
+fn process_of(diagram: &mut Diagram, graph: &FlatGraph, node: &FlatNode) -> usize {
     let name = node.host.as_ref().unwrap_or(&node.id);
     if let Some(known) = diagram.processes.iter().position(|process| process.name == *name) {
         return known;
@@ -63,7 +62,7 @@ fn process_of(diagram: &mut Diagram, graph: &FlatGraph, node: &FlatNode, groups:
     let host = graph.hosts.iter().find(|host| host.id == *name);
     let module = host.and_then(|host| host.args.get(1));
     let module = module.map(|module| without_folder(module, &graph.file));
-    let group = groups.get(name).map(|group| format!("in {group}"));
+    let group = graph.groups.get(name).map(|group| format!("in {group}"));
     let machine = host.unwrap_or(node).machine().map(|machine| format!("on {machine}"));
     let what: Vec<String> = module.into_iter().chain(group).chain(machine).collect();
     diagram.processes.push(Process {
@@ -76,7 +75,7 @@ fn process_of(diagram: &mut Diagram, graph: &FlatGraph, node: &FlatNode, groups:
 }
 
 /// Groups processes by the machines that they are for, where the graph says so, else by the modules that they were wired in with.
-fn group(diagram: &mut Diagram, graph: &FlatGraph, modules: &BTreeMap<String, String>) {
+fn group(diagram: &mut Diagram, graph: &FlatGraph) {
     let nodes = || graph.hosts.iter().chain(&graph.nodes);
     let machine = |name: &str| {
         nodes()
@@ -89,7 +88,7 @@ fn group(diagram: &mut Diagram, graph: &FlatGraph, modules: &BTreeMap<String, St
         let name = diagram.processes[at].name.clone();
         let (found, what) = match has_machines {
             true => (machine(&name), "machine"),
-            false => (modules.get(&name).cloned(), "module"),
+            false => (graph.groups.get(&name).cloned(), "module"),
         };
         let Some(name) = found else { continue };
         let known = diagram.groups.iter().position(|group| group.name == name);

@@ -34,13 +34,25 @@ const ELSEWHERE: &[&str] = &[
 /// What of a stage is a setting begins so; wires and variables have beginnings of their own.
 const SETTINGS: &str = "settings.";
 
-/// The stages of an expanded graph: of each what it `runs`, its `process`, `settings.KEY`, `inputs.PORT` and `env.NAME`.
+/// The process that hosts a stage.
+pub const PROCESS: &str = "process";
+/// The module that groups a stage's process with others.
+pub const GROUP: &str = "group";
+
+/// The stages of an expanded graph: of each what it `runs`, its `process`, that one's `group`, `settings.KEY`, `inputs.PORT` and
+/// `env.NAME`.
 pub fn stages(graph: &FlatGraph) -> GraphStages {
-    let nodes = graph.nodes.iter();
-    nodes.map(|node| (node.id.clone(), described(node))).collect()
+    let described = |node: &FlatNode| {
+        let mut found = described(node);
+        let process = node.host.as_ref().unwrap_or(&node.id);
+        let group = graph.groups.get(process);
+        found.extend(group.map(|group| (GROUP.to_string(), group.clone())));
+        (node.id.clone(), found)
+    };
+    graph.nodes.iter().map(described).collect()
 }
 
-/// A hash of them.
+/// A hash of them, but for how processes are grouped, which changes nothing of a run.
 pub fn hash(stages: &GraphStages) -> String {
     let mut hash = Sha256::new();
     let mut add = |text: &str| {
@@ -49,7 +61,8 @@ pub fn hash(stages: &GraphStages) -> String {
     };
     for (stage, entries) in stages {
         add(stage);
-        add(&entries.len().to_string());
+        let entries = entries.iter().filter(|(name, _)| *name != GROUP);
+        add(&entries.clone().count().to_string());
         for (name, value) in entries {
             add(name);
             add(value);
@@ -72,7 +85,7 @@ fn described(node: &FlatNode) -> BTreeMap<String, String> {
         .filter_map(|key| value(&key).map(|value| (format!("{SETTINGS}{key}"), without_folder(&value))))
         .collect();
     found.insert("runs".into(), runs(node));
-    found.extend(node.host.iter().map(|host| ("process".into(), host.clone())));
+    found.extend(node.host.iter().map(|host| (PROCESS.to_string(), host.clone())));
     let inputs = node.inputs.iter();
     found.extend(inputs.map(|(port, input)| (format!("inputs.{port}"), wire(input))));
     for (name, value) in &node.env {
@@ -164,6 +177,10 @@ mod tests {
     #[test]
     fn a_graph_is_not_known_by_what_each_run_decides_or_by_folders() {
         let first = hash_of(&graph());
+        let mut apart = graph();
+        assert_eq!(stages(&apart)["fusion.bank"][GROUP], "perception");
+        apart.groups.clear();
+        assert_eq!(hash_of(&apart), first, "modules that group processes change nothing of a run");
         let mut decided = graph();
         for role in ELSEWHERE {
             decide(&mut decided, role, "/another/one");

@@ -4,7 +4,7 @@ mod batch;
 mod choices;
 mod compute;
 mod decisions;
-mod described;
+pub mod described;
 mod dora;
 mod folders;
 mod foxglove;
