@@ -5,6 +5,7 @@
 //! | [`Odometry`] | the error-state filter over IMU, wheels and sweeps; each sweep is registered to a local map of the last keyframes. GNSS takes no part, so nothing is counted twice |
 //! | alignment | places each piece of a drive on its positions of GNSS, by a heading and a shift |
 //! | loop closure | keyframes near others of an earlier pass are registered to a submap of these |
+//! | [`Lean`] | what loops say of a sensor that leans; its sweeps are to be followed again with that slope |
 //! | pose graph | odometry edges, loop edges, anchors of GNSS; all drives in one graph ([`realo_pose_graph`]) |
 //! | [`Mapped`] | the poses of each drive, how well they are known, and what became of loops and anchors |
 //!
@@ -20,6 +21,7 @@ mod drive;
 mod errors;
 mod join;
 mod keyframe;
+mod lean;
 mod local_map;
 mod loops;
 mod odometry;
@@ -31,5 +33,6 @@ pub use anchors::{Fix, FixFaults};
 pub use drive::{Drive, Piece};
 pub use errors::{Errors, Spread, errors};
 pub use keyframe::Keyframe;
+pub use lean::{Lean, levelled};
 pub use odometry::{Counts, Odometry, OdometrySettings, Taken};
 pub use solve::{Mapped, MappedDrive, MappingError, Summary, solve};

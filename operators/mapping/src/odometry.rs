@@ -13,6 +13,7 @@ use realo_state_estimation::{
 use crate::anchors::Fixes;
 use crate::drive::{Drive, Piece};
 use crate::keyframe::Keyframe;
+use crate::lean::levelled;
 use crate::local_map::{map_of, registrar};
 
 /// Poses of the track are so far apart, ns.
@@ -41,6 +42,8 @@ pub struct OdometrySettings {
     pub min_share: f64,
     /// Points farther than this are left out of keyframes, m.
     pub range_m: f64,
+    /// How the sensor leans, as [`Lean`](crate::Lean) has it: points are levelled.
+    pub slope: f64,
 }
 
 impl Default for OdometrySettings {
@@ -51,6 +54,7 @@ impl Default for OdometrySettings {
             window: 20,
             min_share: 0.35,
             range_m: 60.0,
+            slope: 0.0,
         }
     }
 }
@@ -68,6 +72,8 @@ pub struct Counts {
     pub few_points: u64,
     /// Sweeps that do not fit the last ones.
     pub unfit: u64,
+    /// Sweeps whose stamps are not after the last one's, or at which the IMU said nothing.
+    pub misdated: u64,
     /// Samples of the IMU.
     pub imu: u64,
     /// Speeds of the wheels.
@@ -85,6 +91,8 @@ pub enum Taken {
     FewPoints,
     /// It does not fit the last ones: IMU and wheels carry on.
     Unfit,
+    /// Its stamp is not after the last one's, or the motion is known, but not then: it is left out.
+    Misdated,
 }
 
 /// Odometry of one vehicle.
@@ -169,18 +177,29 @@ impl Odometry {
     /// A voxel's side that is none.
     pub fn sweep(&mut self, stamp: Nanos, cloud: &PointCloud) -> Result<Taken, SettingError> {
         self.counts.sweeps += 1;
-        let taken = self.place(stamp, cloud)?;
+        let taken = match self.settings.slope {
+            0.0 => self.place(stamp, cloud)?,
+            slope => self.place(stamp, &levelled(cloud, slope))?,
+        };
         *match taken {
             Taken::Waiting => &mut self.counts.waiting,
             Taken::Registered => &mut self.counts.registered,
             Taken::FewPoints => &mut self.counts.few_points,
             Taken::Unfit => &mut self.counts.unfit,
+            Taken::Misdated => &mut self.counts.misdated,
         } += 1;
         Ok(taken)
     }
 
     fn place(&mut self, stamp: Nanos, cloud: &PointCloud) -> Result<Taken, SettingError> {
+        let newest = self.piece.as_ref().and_then(|piece| piece.track.last());
+        if newest.is_some_and(|(newest, _)| stamp <= *newest) {
+            return Ok(Taken::Misdated);
+        }
         let Some(guess) = self.estimate_at(stamp) else {
+            if self.estimator.as_ref().and_then(Estimator::estimate).is_some() {
+                return Ok(Taken::Misdated);
+            }
             self.break_off();
             self.set_out(stamp);
             return Ok(Taken::Waiting);

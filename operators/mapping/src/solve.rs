@@ -12,6 +12,7 @@ use crate::anchors::{Anchored, anchored};
 use crate::drive::{Drive, Piece};
 use crate::join::Joined;
 use crate::keyframe::Keyframe;
+use crate::lean::{Lean, lean};
 use crate::loops::{Found, LoopSearch, Nodes};
 use crate::track::{add_corrected, empty, odometry};
 
@@ -86,6 +87,8 @@ pub struct MappedDrive {
     pub group: usize,
     /// Whether its way is long enough for GNSS to tell its heading.
     pub has_heading: bool,
+    /// How its sensor leans beyond [`OdometrySettings::slope`](crate::OdometrySettings::slope), where loops tell.
+    pub lean: Option<Lean>,
 }
 
 /// What became of all drives together.
@@ -330,7 +333,21 @@ impl Parts<'_> {
             loops,
             group: self.group(drives.len(), drive),
             has_heading,
+            lean: self.lean(drive),
         })
+    }
+
+    fn lean(&self, drive: usize) -> Option<Lean> {
+        let pieces = self.placed.iter().filter(|part| part.drive == drive).map(|part| {
+            let number = |node: usize| {
+                let number = node.checked_sub(part.first)?;
+                (number < part.piece.keyframes.len()).then_some(number)
+            };
+            let within = self.closed.iter();
+            let within = within.filter_map(|edge| Some((number(edge.from)?, number(edge.to)?, *edge)));
+            (part.piece, within.collect())
+        });
+        lean(pieces)
     }
 
     /// Anchors of a drive, and those that contradict the others.

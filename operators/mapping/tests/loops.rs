@@ -2,8 +2,8 @@
 
 mod block;
 
-use block::{Block, Plan, drive, sweeps, true_pose};
-use realo_mapping::{Drive, Errors, MappedDrive, errors, solve};
+use block::{Block, Plan, drive, drive_with, sweeps, true_pose};
+use realo_mapping::{Drive, Errors, Mapped, MappedDrive, errors, solve};
 use realo_schemas::geometry::PoseTrack;
 
 /// Errors of a drive's poses at its sweeps.
@@ -54,6 +54,7 @@ fn laps_close_and_the_map_is_off_by_what_gnss_is_off() {
     assert_eq!(one.summary, three.summary);
 
     let (summary, found) = (&one.summary, &one.drives[0]);
+    assert_eq!(found.lean, None, "its sensor is level");
     assert!(
         summary.is_anchored && summary.converged && summary.loops >= 5,
         "{summary:?}"
@@ -71,6 +72,34 @@ fn laps_close_and_the_map_is_off_by_what_gnss_is_off() {
     assert!(found.sigmas[0] > 0.3 && found.sigmas[0] < 4.0, "{:?}", found.sigmas);
     let [anchors, doubtful] = found.anchors;
     assert!(doubtful > 0 && 3 * doubtful < anchors, "{anchors} {doubtful}");
+}
+
+/// Follows a drive until its sensor is level: the slope that was found, and what was mapped.
+fn levelled(block: &Block, plan: &Plan) -> (f64, Mapped) {
+    let mut slope = 0.0;
+    for _ in 0..6 {
+        let mapped = solve(&[drive_with(block, plan, slope)], 1.0).expect("poses");
+        match mapped.drives[0].lean {
+            None => return (slope, mapped),
+            Some(lean) => slope += lean.slope,
+        }
+    }
+    panic!("it still leans beyond {slope}");
+}
+
+#[test]
+fn loops_tell_how_a_sensor_leans_and_heights_do_not_drift() {
+    let block = Block::new(5);
+    let slope = -0.008;
+    let plan = with(|plan| plan.slope = slope);
+    let climbed = drive(&block, &plan).pieces[0].track.last().expect("poses").1;
+    assert!(climbed.translation.z < -0.8, "{climbed}");
+    let (found, mapped) = levelled(&block, &plan);
+    assert!((found - slope).abs() < 8e-4, "{found}");
+    let errors = off(&plan, &mapped.drives[0].before);
+    assert!(errors.aligned[1].max < 0.15, "{errors:?}");
+    let errors = off(&plan, &mapped.drives[0].track);
+    assert!(errors.aligned[1].max < 0.1, "{errors:?}");
 }
 
 #[test]
@@ -124,6 +153,19 @@ fn gnss_that_jumps_all_the_time_is_told_and_bends_nothing() {
     let errors = off(&plan, &of.track);
     assert!(errors.aligned[0].p95 < 0.1, "{errors:?}");
     assert!(2 * of.anchors[1] > of.anchors[0], "{:?}", of.anchors);
+}
+
+#[test]
+fn a_sweep_of_a_wrong_time_is_counted_and_ends_no_piece() {
+    let plan = with(|plan| (plan.seconds, plan.misdated) = (8, Some(20)));
+    let found = drive(&Block::new(5), &plan);
+    assert_eq!(
+        (found.pieces.len(), found.counts.misdated),
+        (1, 1),
+        "{:?}",
+        found.counts
+    );
+    assert!(found.counts.registered > 30, "{:?}", found.counts);
 }
 
 #[test]

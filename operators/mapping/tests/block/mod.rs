@@ -2,7 +2,7 @@
 
 use damage::Draw;
 use nalgebra::{Isometry3, Translation3, UnitQuaternion, Vector3};
-use realo_mapping::{Drive, Odometry, OdometrySettings};
+use realo_mapping::{Drive, Odometry, OdometrySettings, levelled};
 use realo_schemas::motion::Taken;
 use realo_schemas::{FixQuality, GnssFix, ImuSample, Motion, Nanos, PointCloud, WheelSpeed};
 
@@ -115,6 +115,10 @@ pub struct Plan {
     pub points: usize,
     /// From the way round the block, m.
     pub away: f64,
+    /// The sweep of which the stamp is 50 s too early.
+    pub misdated: Option<i64>,
+    /// What a metre ahead looks too high by, for the sensor leans, m.
+    pub slope: f64,
 }
 
 impl Plan {
@@ -126,6 +130,8 @@ impl Plan {
         jumps: false,
         points: usize::MAX,
         away: 0.0,
+        misdated: None,
+        slope: 0.0,
     };
 }
 
@@ -149,7 +155,16 @@ pub fn sweeps(plan: &Plan) -> impl Iterator<Item = Nanos> {
 
 /// A drive, followed.
 pub fn drive(block: &Block, plan: &Plan) -> Drive {
-    let mut odometry = Odometry::new(OdometrySettings::default()).unwrap();
+    drive_with(block, plan, 0.0)
+}
+
+/// A drive, followed by a sensor of which it is known how it leans.
+pub fn drive_with(block: &Block, plan: &Plan, slope: f64) -> Drive {
+    let mut odometry = Odometry::new(OdometrySettings {
+        slope,
+        ..OdometrySettings::default()
+    })
+    .unwrap();
     let mut draw = Draw::new(plan.seed);
     for at in 0..plan.seconds * 100 {
         let stamp = START + at * 10 * MS;
@@ -163,7 +178,9 @@ pub fn drive(block: &Block, plan: &Plan) -> Drive {
         odometry.measure(&motion).unwrap();
         if at % 20 == 0 {
             let pose = Isometry3::translation(-plan.away, 0.0, 0.0) * true_pose(plan, stamp);
-            let cloud = block.sweep(&pose, &mut draw);
+            let cloud = levelled(&block.sweep(&pose, &mut draw), -plan.slope);
+            let early = plan.misdated == Some(at / 20);
+            let stamp = stamp - if early { 50_000 * MS } else { 0 };
             odometry.sweep(stamp, &first(&cloud, plan.points)).unwrap();
         }
     }

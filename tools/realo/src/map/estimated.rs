@@ -5,13 +5,19 @@ use std::collections::BTreeMap;
 use eyre::{Result, bail};
 use realo_cli::Progress;
 use realo_logs::{Log, MAX_GAP, Stream, levelled_while_played, pose_track};
-use realo_mapping::{Drive, Errors, MappedDrive, Odometry, OdometrySettings, Summary, errors, solve};
+use realo_mapping::{
+    Drive, Errors, Lean, Mapped, MappedDrive, MappingError, Odometry, OdometrySettings, Summary, errors, solve,
+};
 use realo_registration::Closure;
 use realo_schemas::Nanos;
 use realo_schemas::geometry::PoseTrack;
 use realo_sync::{OwnBody, clean};
 
+use super::report;
 use super::sweeps::{Agent, cloud_of, is_vehicle};
+
+/// How often drives are followed anew because their sensors lean. Each time finds most of what is left, and all of it on straight ways.
+const LEVELLINGS: usize = 3;
 
 /// A drive of a log.
 pub struct Driven {
@@ -27,6 +33,8 @@ pub struct Driven {
     pub unusable: Option<(u64, String)>,
     /// Whether its log has positions of GNSS.
     pub has_fixes: bool,
+    /// How its sensor leans by what loops said, and how sure that is; sweeps were levelled by it.
+    pub lean: Option<Lean>,
     /// Whether its log's sweeps lean with the vehicle.
     pub leans: bool,
     /// Where the log has the truth.
@@ -66,12 +74,32 @@ pub fn estimate(logs: &[Log], agents: &[Vec<String>], voxel_m: f64) -> Result<Es
         .sum::<u64>();
     let progress = Progress::new("following the drives", "sweeps", Some(sweeps as f64));
     let mut driven = Vec::new();
-    for (log, agent) in vehicles {
-        driven.push(follow(logs, log, agent, voxel_m, &progress)?);
+    for (log, agent) in &vehicles {
+        driven.push(follow(logs, *log, agent, None, voxel_m, &progress)?);
     }
     progress.finish();
-    let drives: Vec<&Drive> = driven.iter().map(|driven| &driven.drive).collect();
-    let found = solve(&drives, voxel_m)?;
+    let mut found = solve_all(&driven, voxel_m)?;
+    for _ in 0..LEVELLINGS {
+        let leaning: Vec<usize> = (0..driven.len())
+            .filter(|at| found.drives[*at].lean.is_some())
+            .collect();
+        if leaning.is_empty() {
+            break;
+        }
+        let sweeps: usize = leaning.iter().map(|at| driven[*at].sweeps.len()).sum();
+        let progress = Progress::new("following drives with level sensors", "sweeps", Some(sweeps as f64));
+        for at in leaning {
+            let (log, agent) = vehicles[at];
+            let known = driven[at].lean.map_or(0.0, |lean| lean.slope);
+            let lean = found.drives[at].lean.map(|lean| Lean {
+                slope: known + lean.slope,
+                ..lean
+            });
+            driven[at] = follow(logs, log, agent, lean, voxel_m, &progress)?;
+        }
+        progress.finish();
+        found = solve_all(&driven, voxel_m)?;
+    }
     let mut posed: Vec<BTreeMap<String, Agent>> = logs.iter().map(|_| BTreeMap::new()).collect();
     for (of, mapped) in driven
         .iter()
@@ -79,6 +107,7 @@ pub fn estimate(logs: &[Log], agents: &[Vec<String>], voxel_m: f64) -> Result<Es
         .filter(|(_, mapped)| mapped.keyframes > 0)
     {
         let agent = Agent::with(&logs[of.log], &of.agent, mapped.track.clone(), mapped.sigmas);
+        let agent = agent.leaning(of.lean.map_or(0.0, |lean| lean.slope));
         posed[of.log].insert(of.agent.clone(), agent);
     }
     Ok(Estimated {
@@ -88,6 +117,11 @@ pub fn estimate(logs: &[Log], agents: &[Vec<String>], voxel_m: f64) -> Result<Es
         mapped: found.drives,
         summary: found.summary,
     })
+}
+
+fn solve_all(driven: &[Driven], voxel_m: f64) -> Result<Mapped, MappingError> {
+    let drives: Vec<&Drive> = driven.iter().map(|driven| &driven.drive).collect();
+    solve(&drives, voxel_m).inspect_err(|_| report::print_faults(driven))
 }
 
 /// The vehicles, each with the number of its log; all must measure their motion.
@@ -120,10 +154,18 @@ fn vehicles<'a>(logs: &[Log], agents: &'a [Vec<String>]) -> Result<Vec<(usize, &
 }
 
 /// Follows one vehicle through its log.
-fn follow(logs: &[Log], number: usize, agent: &str, voxel_m: f64, progress: &Progress) -> Result<Driven> {
+fn follow(
+    logs: &[Log],
+    number: usize,
+    agent: &str,
+    lean: Option<Lean>,
+    voxel_m: f64,
+    progress: &Progress,
+) -> Result<Driven> {
     let log = &logs[number];
     let mut odometry = Odometry::new(OdometrySettings {
         voxel_m,
+        slope: lean.map_or(0.0, |lean| lean.slope),
         ..OdometrySettings::default()
     })?;
     let has_fixes = log.has(agent, Stream::Fix);
@@ -155,6 +197,7 @@ fn follow(logs: &[Log], number: usize, agent: &str, voxel_m: f64, progress: &Pro
         sweeps,
         unusable,
         has_fixes,
+        lean,
         leans: levelled_while_played(log)?.contains_key(agent),
         truth: truth
             .then(|| pose_track(log, agent, Stream::PoseTruth, MAX_GAP))

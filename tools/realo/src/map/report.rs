@@ -9,6 +9,15 @@ const MANY: f64 = 0.3;
 /// Fewer sweeps than this share in trouble are not mentioned.
 const FEW: f64 = 0.01;
 
+/// Prints to standard error what is wrong with what drives measured.
+pub fn print_faults(driven: &[Driven]) {
+    for of in driven {
+        for words in of_sensors(of).into_iter().chain(of_sweeps(&of.drive)) {
+            eprintln!("realo: {}: {words}", of.name);
+        }
+    }
+}
+
 /// Prints poses and errors to standard output, and what is wrong to standard error.
 pub fn print(estimated: &Estimated) {
     let Estimated {
@@ -36,6 +45,14 @@ pub fn print(estimated: &Estimated) {
             mapped.anchors[0],
             heading.to_degrees()
         );
+        if let Some(lean) = of.lean {
+            println!(
+                "    its sensor leans: a metre ahead looks {:.1} mm too {} (± {:.1}), by the heights of loops; sweeps are levelled",
+                1e3 * lean.slope.abs(),
+                if lean.slope < 0.0 { "low" } else { "high" },
+                1e3 * lean.sigma
+            );
+        }
     }
     if let Some([before, after]) = &estimated.errors {
         println!("  errors of {} poses at sweeps: mean / 95 % / max", after.poses);
@@ -164,6 +181,12 @@ fn of_sweeps(drive: &Drive) -> Vec<String> {
         words.push(format!(
             "{} of {} sweeps do not fit the ones before: IMU and wheels carry on",
             counts.unfit, counts.sweeps
+        ));
+    }
+    if counts.misdated > 0 {
+        words.push(format!(
+            "{} of {} sweeps are left out, for their stamps are not after the one before, or nothing was measured then",
+            counts.misdated, counts.sweeps
         ));
     }
     if counts.waiting == counts.sweeps && counts.sweeps > 0 {

@@ -5,6 +5,7 @@ use std::collections::BTreeMap;
 use eyre::Result;
 use realo_cli::Progress;
 use realo_logs::{AgentInfo, AgentKind, Entry, Log, LogError, MAX_GAP, Stream, pose_track};
+use realo_mapping::levelled;
 use realo_registration::{MapBuilder, PosedSweep};
 use realo_schemas::geometry::{Motion, PoseTrack};
 use realo_schemas::{Nanos, PointCloud};
@@ -67,6 +68,8 @@ pub struct Agent {
     sigmas: [f64; 3],
     sensor: [f64; 3],
     own_body: Option<OwnBody>,
+    /// As [`realo_mapping::Lean`] has it.
+    slope: f64,
 }
 
 impl Agent {
@@ -87,7 +90,13 @@ impl Agent {
             sigmas,
             sensor: info.and_then(|info| info.sensor_position).unwrap_or(unknown),
             own_body: is_vehicle.then_some(OwnBody::V2X_REAL),
+            slope: 0.0,
         }
+    }
+
+    /// The same with a sensor that leans; `slope` as in [`realo_mapping::Lean`].
+    pub fn leaning(self, slope: f64) -> Self {
+        Agent { slope, ..self }
     }
 
     /// Adds a sweep, without the agent's motion and body.
@@ -105,7 +114,10 @@ impl Agent {
         let [first, last] = times.map(|time| time.map_or(0, |time| Nanos::from(*time)));
         let motion = Motion::new(&self.track, stamp, first, last);
         counts.not_deskewed += u64::from(motion.is_none());
-        let cloud = clean(&cloud, self.own_body, motion.as_ref()).cloud;
+        let mut cloud = clean(&cloud, self.own_body, motion.as_ref()).cloud;
+        if self.slope != 0.0 {
+            cloud = levelled(&cloud, self.slope);
+        }
         builder.add(&PosedSweep {
             agent: &entry.agent,
             stamp,

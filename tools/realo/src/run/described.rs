@@ -180,7 +180,11 @@ mod tests {
         let mut apart = graph();
         assert_eq!(stages(&apart)["fusion.bank"][GROUP], "perception");
         apart.groups.clear();
-        assert_eq!(hash_of(&apart), first, "modules that group processes change nothing of a run");
+        assert_eq!(
+            hash_of(&apart),
+            first,
+            "modules that group processes change nothing of a run"
+        );
         let mut decided = graph();
         for role in ELSEWHERE {
             decide(&mut decided, role, "/another/one");
