@@ -35,6 +35,8 @@ pub struct RunSettings {
     /// The log's path, or its name alone, by which pooled runs are resampled. The name stands in the result, the path in
     /// `timing.json` only.
     pub log: String,
+    /// The machine that runs the graph in realtime; empty where times are not those of a machine.
+    pub machine: String,
     /// A hash of what the log holds; empty where it is not known.
     pub log_hash: String,
     /// What was run.
@@ -89,6 +91,7 @@ pub struct Results {
     out: PathBuf,
     log: String,
     log_path: Option<String>,
+    machine: Option<String>,
     result: RunResult,
     samples: Samples,
     timing: TimingSamples,
@@ -133,6 +136,7 @@ impl Sink for Results {
             log,
             log_hash,
             settings: run,
+            machine,
             graph,
             given,
             ..
@@ -149,6 +153,7 @@ impl Sink for Results {
         Ok(Results {
             log,
             log_path,
+            machine: (!machine.is_empty()).then_some(machine),
             result: RunResult::new(run),
             samples,
             timing: TimingSamples::default(),
@@ -294,6 +299,7 @@ impl Results {
             result,
             timing: Timing {
                 log_path: self.log_path.take(),
+                machine: self.machine.take(),
                 ..Timing::of(timing)
             },
             samples: std::mem::take(&mut self.samples),

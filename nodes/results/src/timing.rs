@@ -23,6 +23,9 @@ pub struct Timing {
     /// Where the log lay that was played; `None` where that is unknown, and of runs over several logs.
     #[serde(default)]
     pub log_path: Option<String>,
+    /// The machine of a run in realtime and the program that ran there, for people; `None` of runs over several.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub machine: Option<String>,
     /// By stage: from its start to its end; and [`END_TO_END`] and [`FRAMEWORK`].
     pub latency_ms: BTreeMap<String, Spread>,
     /// By stage: from when its last input was ready until its start: transport, queue, busy stage.
@@ -178,6 +181,7 @@ impl Timing {
             schema: TIMING.into(),
             version: VERSION,
             log_path: None,
+            machine: None,
             latency_ms,
             waiting_ms: of_stages(|stage| &stage.waiting),
             joining_ms: of_stages(|stage| &stage.joining),

@@ -7,6 +7,7 @@ mod choice;
 pub mod demo;
 pub mod find;
 mod left_out;
+mod machine;
 mod output;
 pub mod paper;
 pub mod program;
@@ -17,6 +18,7 @@ pub mod unfinished;
 
 pub use choice::one_of;
 pub use left_out::report_left_out;
+pub use machine::cpu;
 pub use output::{Force, Output, expect_ending, write_whole};
 pub use progress::Progress;
 pub use reference::{HEAD, markdown};

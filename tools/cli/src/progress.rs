@@ -1,5 +1,6 @@
 //! How far long work is: a bar on a terminal, and a line every ten seconds where standard error is something else.
 
+use std::fmt::Write;
 use std::io::IsTerminal;
 use std::sync::mpsc::{RecvTimeoutError, Sender, channel};
 use std::sync::{Arc, Mutex, MutexGuard, PoisonError};
@@ -7,7 +8,7 @@ use std::thread::JoinHandle;
 use std::time::{Duration, Instant};
 
 use crate::program;
-use indicatif::{MultiProgress, ProgressBar, ProgressStyle};
+use indicatif::{MultiProgress, ProgressBar, ProgressState, ProgressStyle};
 
 /// From one line to the next.
 const EVERY: Duration = Duration::from_secs(10);
@@ -219,15 +220,27 @@ impl State {
         let template = match self.all {
             // Seconds of a clock pass as they do.
             Some(_) => format!(
-                "{{prefix}} [{{wide_bar}}] {{pos}}/{{len}} {}{}, {{eta}} left {{msg}}",
+                "{{prefix}} [{{wide_bar}}] {{pos}}/{{len}} {}{}, {{left}} {{msg}}",
                 self.unit,
-                if self.unit == SECONDS { "" } else { ", {per_sec}" }
+                if self.unit == SECONDS { "" } else { ", {rate}" }
             ),
             None if self.unit.is_empty() => "{prefix} for {elapsed} {msg}".into(),
             None => format!("{{prefix}} {{pos}} {} in {{elapsed}} {{msg}}", self.unit),
         };
         let style = ProgressStyle::with_template(&template).expect("the templates are constants");
-        style.progress_chars("=> ")
+        style
+            .with_key("rate", |state: &ProgressState, out: &mut dyn Write| {
+                // A line that cannot be drawn is drawn again in a moment.
+                let _ = write!(out, "{:.1}/s", state.per_sec());
+            })
+            .with_key("left", |state: &ProgressState, out: &mut dyn Write| {
+                let _ = match state.pos() {
+                    // How long it takes is not known before something is done.
+                    0 => write!(out, "{} so far", duration(state.elapsed().as_secs_f64())),
+                    _ => write!(out, "{} left", duration(state.eta().as_secs_f64())),
+                };
+            })
+            .progress_chars("=> ")
     }
 
     fn line(&self) -> String {
@@ -238,6 +251,7 @@ impl State {
             Some(all) => format!("{} of {} {}", number(self.done), number(all), self.unit),
             None => format!("{} {}", number(self.done), self.unit),
         };
+        let far = far.trim_end();
         let pace = match (rate > 0.0, self.all) {
             (false, _) => format!(", {} so far", duration(seconds)),
             (true, None) => format!(", {rate:.1} a second"),
@@ -300,6 +314,8 @@ mod tests {
         let mut uncounted = state(None, 0.0, 20);
         uncounted.unit = "";
         assert_eq!(uncounted.line(), "realo: simulating: running, 20 s so far");
+        uncounted.all = Some(3.0);
+        assert_eq!(uncounted.line(), "realo: simulating: 0 of 3, 20 s so far");
         let line = state(None, 100.0, 10).line();
         assert_eq!(line, "realo: simulating: 100 sweeps, 10.0 a second");
         let mut long = state(Some(10_000.0), 0.0, 70);

@@ -45,6 +45,8 @@ pub struct RrdCounts {
     pub sweeps: u64,
     /// Sweeps whose points cannot be placed.
     pub unplaced: u64,
+    /// Whether a file was cut, so that its rest is missing.
+    pub cut: bool,
 }
 
 /// Writes a recording of rerun; the file appears when it is complete.
@@ -62,6 +64,7 @@ pub fn export_rrd(request: &RrdRequest, progress: &mut dyn FnMut(&RrdCounts)) ->
         });
     }
     let file = McapFile::open(&request.recording)?;
+    let cut = file.truncation().is_some();
     let log = request.points.as_ref().map(Log::open).transpose()?;
     need_rerun(&request.python)?;
     let partial = output.with_added_extension("partial");
@@ -71,7 +74,8 @@ pub fn export_rrd(request: &RrdRequest, progress: &mut dyn FnMut(&RrdCounts)) ->
         let _ = std::fs::remove_file(&partial);
     })?;
     std::fs::rename(&partial, output).map_err(ExportError::io(output, "write"))?;
-    Ok(counts)
+    let cut = cut || log.is_some_and(|log| log.truncation().is_some());
+    Ok(RrdCounts { cut, ..counts })
 }
 
 /// Refuses a Python without rerun.

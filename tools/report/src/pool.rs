@@ -71,6 +71,10 @@ pub fn pool(runs: &[Run]) -> Result<Run, PoolError> {
     if runs.iter().all(|run| run.timing.log_path == *path) {
         timing.log_path.clone_from(path);
     }
+    let machine = &first.timing.machine;
+    if runs.iter().all(|run| run.timing.machine == *machine) {
+        timing.machine.clone_from(machine);
+    }
     Ok(Run {
         result,
         timing,

@@ -132,9 +132,15 @@ pub fn main(args: &Args) -> Result<Outcome> {
 
 fn print<B: Serialize + std::fmt::Display>(bench: &B, json: bool) -> Result<Outcome> {
     if json {
-        println!("{}", serde_json::to_string_pretty(&Named { cpu: cpu(), bench })?);
+        println!(
+            "{}",
+            serde_json::to_string_pretty(&Named {
+                cpu: realo_cli::cpu(),
+                bench
+            })?
+        );
     } else {
-        println!("{bench}\nCPU: {}", cpu());
+        println!("{bench}\nCPU: {}", realo_cli::cpu());
     }
     Ok(Outcome::Complete)
 }
@@ -144,14 +150,4 @@ struct Named<'a, B> {
     cpu: String,
     #[serde(flatten)]
     bench: &'a B,
-}
-
-/// The CPU's name and the number of threads it gives us.
-pub fn cpu() -> String {
-    let info = std::fs::read_to_string("/proc/cpuinfo").unwrap_or_default();
-    let name = info
-        .lines()
-        .find_map(|line| line.strip_prefix("model name")?.split_once(':'));
-    let threads = std::thread::available_parallelism().map_or(1, |n| n.get());
-    format!("{}, {threads} threads", name.map_or("unknown", |(_, name)| name.trim()))
 }

@@ -50,6 +50,7 @@ pub fn main(args: &RrdArgs) -> Result<Outcome> {
         boxes,
         sweeps,
         unplaced,
+        cut,
     } = counts?;
     println!(
         "{}: {poses} poses, {boxes} boxes in {lists} lists, {sweeps} sweeps with points; `rerun {}` opens it",
@@ -61,9 +62,16 @@ pub fn main(args: &RrdArgs) -> Result<Outcome> {
     }
     if unplaced > 0 {
         println!("{unplaced} sweeps were left out: no transform leads from their frame to the agent's body");
-        return Ok(Outcome::Partial);
     }
-    Ok(Outcome::Complete)
+    if cut {
+        println!(
+            "the recording or the log was cut: what is missing there is missing here; `realo info` says where it ends"
+        );
+    }
+    Ok(match unplaced > 0 || cut {
+        true => Outcome::Partial,
+        false => Outcome::Complete,
+    })
 }
 
 /// The file that is meant by a file, or by the folder of a run.

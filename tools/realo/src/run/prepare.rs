@@ -268,6 +268,10 @@ impl Planner<'_> {
             compute: self.compute.clone(),
             run_settings: RunSettings {
                 log: log_path.to_string_lossy().into_owned(),
+                machine: match self.mode {
+                    Mode::Realtime => format!("{}, realo {}", realo_cli::cpu(), env!("CARGO_PKG_VERSION")),
+                    _ => String::new(),
+                },
                 log_hash: resume::log_content(log_path)?,
                 settings,
                 graph: self.described.clone(),

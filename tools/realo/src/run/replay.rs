@@ -272,8 +272,12 @@ impl<'a> Far<'a> {
     }
 
     fn is(&mut self, now: Nanos) {
+        // Sources are asked for their first messages before all times.
+        if now == Nanos::MIN {
+            return;
+        }
         let begin = *self.begin.get_or_insert(now);
-        let done = to_seconds(now - begin).min(self.seconds);
+        let done = to_seconds(now.saturating_sub(begin)).min(self.seconds);
         if done >= self.done + Self::STEP {
             self.say(done - self.done);
             self.done = done;
@@ -327,4 +331,28 @@ fn watched(
         Eyes::Tap(tap) => virtual_time::run_tapped(&stages, compute, tap, watch)?,
         Eyes::Shared(shared, outline) => virtual_time::run_shared(&stages, compute, (shared, outline), watch)?,
     })
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn progress_begins_with_the_first_time_of_a_log() {
+        let (sender, said) = channel();
+        let mut far = Far::new(0, 3.0, &sender);
+        let begin = 1_767_225_600_000_000_000;
+        for now in [Nanos::MIN, begin, begin + 40_000_000, begin + 1_500_000_000] {
+            far.is(now);
+        }
+        far.ended();
+        let played: Vec<f64> = said
+            .try_iter()
+            .filter_map(|said| match said {
+                Said::Played(0, seconds) => Some(seconds),
+                _ => None,
+            })
+            .collect();
+        assert_eq!(played, [1.5, 1.5]);
+    }
 }
