@@ -788,7 +788,10 @@ fn the_error_of_a_damaged_bag_is_there_once() {
     fs::write(&bag, b"SQLite format 3\0 and nothing else").expect("it can be written");
     let (_, said, code) = info(&bag);
     assert_eq!(code, Some(1), "{said}");
-    assert!(said.contains("expected an SQLite database, found less than its head"), "{said}");
+    assert!(
+        said.contains("expected an SQLite database, found less than its head"),
+        "{said}"
+    );
     assert!(!said.contains("is not an MCAP file"), "{said}");
     assert_eq!(
         said.matches("apart from that, it is a bag of ROS 2 in SQLite").count(),
