@@ -295,6 +295,11 @@ fn standing() -> AgentState {
 
 /// A log of one vehicle, a point cloud and its detections a sweep.
 fn odd(name: &str, cloud: &PointCloud, detections: Option<&[Box3]>) -> PathBuf {
+    odd_with(name, cloud, detections, Some(&[car([10.0, 0.0, 0.8], [4.0, 2.0, 1.6])]))
+}
+
+/// The same with this ground truth, or none.
+fn odd_with(name: &str, cloud: &PointCloud, detections: Option<&[Box3]>, truth: Option<&[Box3]>) -> PathBuf {
     let path = folder(name).join("odd.mcap");
     let agent = AgentInfo {
         name: "cav1".into(),
@@ -304,7 +309,6 @@ fn odd(name: &str, cloud: &PointCloud, detections: Option<&[Box3]>) -> PathBuf {
         sensor_position: None,
     };
     let mut writer = LogWriter::create(&path, &LogInfo::new("odd", vec![agent])).expect("the log can be made");
-    let truth = [car([10.0, 0.0, 0.8], [4.0, 2.0, 1.6])];
     let write = |writer: &mut LogWriter, sweep: Nanos| {
         let (stamp, ready) = (1_000_000_000 + sweep * 100_000_000, 1_050_000_000 + sweep * 100_000_000);
         writer.pose("cav1", stamp, stamp, &standing())?;
@@ -312,7 +316,10 @@ fn odd(name: &str, cloud: &PointCloud, detections: Option<&[Box3]>) -> PathBuf {
         if let Some(detections) = detections {
             writer.detections("cav1", stamp, ready, &Boxes(detections.to_vec()))?;
         }
-        writer.truth("cav1", stamp, ready, &truth, Some(&[9]), true)
+        match truth {
+            Some(truth) => writer.truth("cav1", stamp, ready, truth, Some(&vec![9; truth.len()]), true),
+            None => Ok(()),
+        }
     };
     for sweep in 0..SWEEPS {
         write(&mut writer, sweep).expect("a sweep can be written");
@@ -717,4 +724,78 @@ fn protocols_that_do_not_fit_the_log_say_what_to_do() {
     let notes = result["notes"].to_string();
     assert!(notes.contains("scored frames have no views"), "{notes}");
     assert_eq!(result["in_no_view"]["detections"], 0);
+}
+
+/// What `realo info` says of a file: standard output, standard error and exit code.
+fn info(path: &Path) -> (String, String, Option<i32>) {
+    let output = realo([Path::new("info"), path]);
+    (text(&output.stdout), text(&output.stderr), output.status.code())
+}
+
+#[test]
+fn info_names_problems_first() {
+    let unicorn = Box3 {
+        class: "Unicorn".into(),
+        ..car([10.0, 0.0, 0.8], [4.0, 2.0, 1.6])
+    };
+    let log = odd_with("info_problems", &cloud(&[[5.0, 0.0, 1.0]]), None, Some(&[unicorn]));
+    let (said, _, code) = info(&log);
+    let lines: Vec<&str> = said.lines().collect();
+    let problems: Vec<usize> = (0..lines.len())
+        .filter(|line| lines[*line].starts_with("  PROBLEM: "))
+        .collect();
+    assert_eq!(problems, (1..=problems.len()).collect::<Vec<_>>(), "{said}");
+    let of_protocol = "of 5 boxes of ground truth, classes that protocol `default` does not score: `Unicorn` 5";
+    assert!(lines[problems.len()].contains(of_protocol), "{said}");
+    let last = lines.last().unwrap();
+    assert!(
+        last.contains(&format!("{} problem", problems.len())) && last.ends_with("named at the top"),
+        "{said}"
+    );
+    assert_eq!(code, Some(3), "{said}");
+    let output = realo([Path::new("info"), Path::new("--json"), &log]);
+    let described: serde_json::Value = serde_json::from_slice(&output.stdout).unwrap();
+    assert_eq!(described["problems"].as_array().map(Vec::len), Some(problems.len()));
+}
+
+#[test]
+fn info_says_what_a_log_without_truth_can_say() {
+    let points = cloud(&[[5.0, 0.0, 1.0]]);
+    for (name, truth, words) in [
+        (
+            "info_no_truth",
+            None,
+            "  no truth  no agent has ground truth: a run reports rates, ages",
+        ),
+        (
+            "info_empty_truth",
+            Some(&[][..]),
+            "  no truth  the ground truth of all agents has no object: a run reports rates, ages",
+        ),
+    ] {
+        let (said, _, _) = info(&odd_with(name, &points, None, truth));
+        assert_eq!(said.matches(words).count(), 1, "{said}");
+    }
+    let (said, _, code) = info(&odd_with("info_without", &points, None, None));
+    assert!(said.contains("no problems found") && code == Some(0), "{said}");
+    let (said, _, _) = info(&odd("info_with_truth", &points, None));
+    assert!(!said.contains("no truth"), "{said}");
+}
+
+#[test]
+fn the_error_of_a_damaged_bag_is_there_once() {
+    let bag = folder("damaged_bag").join("cut.db3");
+    fs::write(&bag, b"SQLite format 3\0 and nothing else").expect("it can be written");
+    let (_, said, code) = info(&bag);
+    assert_eq!(code, Some(1), "{said}");
+    assert!(
+        said.contains("expected an SQLite database, found less than its head"),
+        "{said}"
+    );
+    assert!(!said.contains("is not an MCAP file"), "{said}");
+    assert_eq!(
+        said.matches("apart from that, it is a bag of ROS 2 in SQLite").count(),
+        1,
+        "{said}"
+    );
 }

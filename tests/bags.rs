@@ -6,7 +6,7 @@ use std::ffi::OsString;
 use std::fs;
 use std::path::Path;
 
-use common::{counts, folder, lab_ok, realo_ok, run_virtual, simulated};
+use common::{counts, folder, lab_ok, realo, realo_ok, run_virtual, simulated};
 
 const AGENTS: [(&str, &str); 2] = [("cav1", "vehicle"), ("rsu1", "roadside")];
 
@@ -44,6 +44,12 @@ fn a_bag_is_played_with_its_truth_or_without_any() {
             "-o".as_ref(),
             log.as_os_str(),
         ]));
+        let said = common::text(&realo([Path::new("info"), &log]).stdout);
+        assert_eq!(
+            said.contains("  no truth  no agent has ground truth"),
+            !with_truth,
+            "{said}"
+        );
         let result = run_virtual(&format!("bags_{with_truth}"), "late_fusion", &log, &args);
         for key in ["total", "processed"] {
             assert_eq!(result["frames"][key], original["frames"][key], "{key}");

@@ -1,13 +1,17 @@
 //! An ONNX file whose inputs and outputs are bound by name and checked when it is loaded.
 
 use std::collections::BTreeMap;
+use std::error::Error;
 use std::fmt;
 use std::io::Read;
 use std::path::{Path, PathBuf};
-use std::sync::Arc;
+use std::sync::{Arc, Mutex};
 
 use realo_operator::{KnownMap, Settings};
-use rten::{DataType, Dimension, Model, ModelOptions, NodeId, RunOptions, ThreadPool, Value, ValueOrView, ValueType};
+use rten::{
+    DataType, Dimension, LoadError, LoadErrorKind, Model, ModelOptions, NodeId, RunOptions, ThreadPool, Value,
+    ValueOrView, ValueType,
+};
 use rten_tensor::Tensor;
 use rten_tensor::prelude::*;
 use serde::{Deserialize, Serialize};
@@ -141,20 +145,95 @@ pub struct Network {
     identity: String,
 }
 
+/// A network that was loaded to see what maps its stage takes, before the stage is built.
+struct Kept {
+    settings: Onnx,
+    /// Names of what was wanted of it.
+    wanted: Vec<&'static str>,
+    network: Network,
+}
+
+/// Of the one stage of a program, whose file it need not load twice.
+static LOADED: Mutex<Vec<Kept>> = Mutex::new(Vec::new());
+
+fn wanted_names(inputs: &[Wanted], outputs: &[Wanted]) -> Vec<&'static str> {
+    inputs.iter().chain(outputs).map(|wanted| wanted.name).collect()
+}
+
+/// Why the runtime does not take a file, in a line.
+fn unread(error: &LoadError) -> String {
+    let (node, cause) = match (error.node(), error.source()) {
+        (Some(node), Some(cause)) => (format!("node `{node}`: "), cause.to_string()),
+        (None, Some(cause)) => (String::new(), cause.to_string()),
+        (_, None) => (String::new(), error.to_string()),
+    };
+    match error.kind() {
+        LoadErrorKind::OperatorInvalid => format!(
+            "expected operators of ONNX that the runtime rten computes, found {node}{cause}; export with another `opset_version`, or \
+             write that layer by other operators"
+        ),
+        _ => format!("cannot be read as ONNX: {node}{cause}; export the network anew by torch.onnx.export"),
+    }
+}
+
 impl Network {
     /// Loads a file, and binds what a role reads and gives.
     ///
     /// # Errors
     /// A file that is missing or none of ONNX; inputs and outputs with other names, types or shapes.
     pub fn load(settings: &Onnx, inputs: &[Wanted], outputs: &[Wanted]) -> Result<Self, NetworkError> {
+        let wanted = wanted_names(inputs, outputs);
+        let is_it = |kept: &Kept| kept.settings == *settings && kept.wanted == wanted;
+        let mut loaded = LOADED.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
+        if let Some(place) = loaded.iter().position(is_it) {
+            return Ok(loaded.swap_remove(place).network);
+        }
+        drop(loaded);
+        Self::read(settings, inputs, outputs)
+    }
+
+    /// What `of` finds in a file, nothing where it cannot be loaded. The network is kept: [`Network::load`] gives it next.
+    pub fn look<T: Default>(
+        settings: &Onnx,
+        inputs: &[Wanted],
+        outputs: &[Wanted],
+        of: impl FnOnce(&Network) -> T,
+    ) -> T {
+        // Why it cannot be loaded is said where the stage is built.
+        let Ok(network) = Self::load(settings, inputs, outputs) else {
+            return T::default();
+        };
+        let found = of(&network);
+        let kept = Kept {
+            settings: settings.clone(),
+            wanted: wanted_names(inputs, outputs),
+            network,
+        };
+        LOADED
+            .lock()
+            .unwrap_or_else(|poisoned| poisoned.into_inner())
+            .push(kept);
+        found
+    }
+
+    fn read(settings: &Onnx, inputs: &[Wanted], outputs: &[Wanted]) -> Result<Self, NetworkError> {
         let path = settings.model.clone();
         let bytes = read(&path)?;
+        let identity = crate::identity::identity(&path, &bytes)?;
         let mut options = ModelOptions::with_all_ops();
         options.prepack_weights(true);
-        // The loader finds by the path what a file keeps in a second one.
-        let model = options.load_file(&path).map_err(|error| NetworkError::File {
+        let loaded = match crate::whole::others(&bytes).is_empty() {
+            true => options.load(bytes).or_else(|error| match error.kind() {
+                // By its first bytes it may be something else; its name says what it is.
+                LoadErrorKind::UnknownFileType | LoadErrorKind::FormatNotEnabled => options.load_file(&path),
+                _ => Err(error),
+            }),
+            // The loader finds by the path what a file keeps in a second one.
+            false => options.load_file(&path),
+        };
+        let model = loaded.map_err(|error| NetworkError::File {
             path: path.clone(),
-            reason: format!("cannot be read as ONNX: {error}"),
+            reason: unread(&error),
         })?;
         let names = Names::of(&settings.names, inputs.iter().chain(outputs))?;
         let threads = match settings.threads {
@@ -165,7 +244,7 @@ impl Network {
             inputs: bind(&path, &model, "input", model.input_ids(), inputs, &names)?,
             outputs: bind(&path, &model, "output", model.output_ids(), outputs, &names)?,
             pool: Arc::new(ThreadPool::with_num_threads(threads)),
-            identity: crate::identity::identity(&path, &bytes)?,
+            identity,
             model,
             path,
         })
@@ -333,7 +412,7 @@ fn read(path: &Path) -> Result<Vec<u8>, NetworkError> {
     let opened = std::fs::File::open(path).and_then(|mut file| file.read_to_end(&mut bytes));
     opened.map_err(|error| {
         refused(format!(
-            "cannot be read: {error}; the path is relative to the graph's folder"
+            "expected an ONNX file, found one that cannot be read: {error}; correct `model`, which is relative to the graph's folder"
         ))
     })?;
     if bytes.starts_with(POINTER) {

@@ -95,11 +95,10 @@ pub struct Encoder {
 type Sizes = Vec<(&'static str, KnownMap)>;
 
 fn encoder_maps(settings: &EncoderSettings) -> Sizes {
-    let Ok(network) = Network::load(&settings.onnx, cloud::INPUTS, &[FEATURES]) else {
-        return Vec::new();
-    };
-    let made = network.known_output(FEATURES.name);
-    vec![("features", made.clone()), ("own", made)]
+    Network::look(&settings.onnx, cloud::INPUTS, &[FEATURES], |network| {
+        let made = network.known_output(FEATURES.name);
+        vec![("features", made.clone()), ("own", made)]
+    })
 }
 
 impl Operator for Encoder {
@@ -178,15 +177,14 @@ pub struct Fusion {
 }
 
 fn fusion_maps(settings: &FusionSettings) -> Sizes {
-    let Ok(network) = Network::load(&settings.onnx, &[MAPS, MASK], &[FEATURES]) else {
-        return Vec::new();
-    };
-    let taken = network.known_input(MAPS.name);
-    vec![
-        ("ego", taken.clone()),
-        ("selections", taken),
-        ("features", network.known_output(FEATURES.name)),
-    ]
+    Network::look(&settings.onnx, &[MAPS, MASK], &[FEATURES], |network| {
+        let taken = network.known_input(MAPS.name);
+        vec![
+            ("ego", taken.clone()),
+            ("selections", taken),
+            ("features", network.known_output(FEATURES.name)),
+        ]
+    })
 }
 
 impl Operator for Fusion {
@@ -262,9 +260,9 @@ pub struct Head {
 }
 
 fn head_maps(settings: &HeadSettings) -> Sizes {
-    let network = Network::load(&settings.onnx, &[FEATURES], boxes::OUTPUTS);
-    let known = network.map(|network| ("features", network.known_input(FEATURES.name)));
-    known.into_iter().collect()
+    Network::look(&settings.onnx, &[FEATURES], boxes::OUTPUTS, |network| {
+        vec![("features", network.known_input(FEATURES.name))]
+    })
 }
 
 impl Operator for Head {

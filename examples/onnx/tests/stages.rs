@@ -301,6 +301,19 @@ fn assert_all(cases: &[(String, &[&str])]) {
 }
 
 #[test]
+fn a_file_that_was_loaded_for_its_sizes_is_not_loaded_again() {
+    let folder = folder();
+    let file = of_features(folder.path(), "8", "1");
+    let args = args(&file, &["classes=Car"]);
+    let sizes = (Registration::operator::<Head>().maps)(&args);
+    assert_eq!(sizes[0].0, "features");
+    std::fs::remove_file(&file).unwrap();
+    built::<Head>(&args).unwrap();
+    let error = built::<Head>(&args).map(drop).unwrap_err();
+    assert!(error.contains("cannot be read"), "{error}");
+}
+
+#[test]
 fn what_is_not_a_file_of_onnx_is_refused() {
     let folder = folder();
     let at = |name: &str| folder.path().join(name);
@@ -319,6 +332,20 @@ fn what_is_not_a_file_of_onnx_is_refused() {
             &["git lfs pull"],
         ),
         (head("t.onnx", b"PK\x03\x04torch"), &["torch.onnx.export"]),
+        (
+            {
+                let file = File::default().input("features", Kind::Float, &["1", "8", "r", "c"]);
+                let file = file.node("GridSampleOfMine", &["features"], "boxes", &[]);
+                let path = file
+                    .output("boxes", Kind::Float, &["n", "7"])
+                    .write(folder.path(), "unknown.onnx");
+                refused::<Head>(&path, &[])
+            },
+            &[
+                "unknown.onnx: expected operators of ONNX that the runtime rten computes, found node `boxes`: GridSampleOfMine operator",
+                "export with another `opset_version`",
+            ],
+        ),
         (
             head("n.onnx", b"\xff\xff\xff\xff nothing"),
             &["n.onnx", "cannot be read as ONNX"],

@@ -8,7 +8,9 @@ use serde::Serialize;
 use crate::findings::problems;
 use crate::level::{LEVEL, tilts};
 use crate::log::{join, nanos, times};
-use crate::{ChannelInfo, Levelled, Log, LogError, LogInfo, McapFile, RECORDING_RECORD, SweepsInfo, Truncation};
+use crate::{
+    ChannelInfo, Levelled, Log, LogError, LogInfo, McapFile, RECORDING_RECORD, Stream, SweepsInfo, Truncation,
+};
 
 /// What `realo info` says of a log.
 #[derive(Clone, Debug, PartialEq, Serialize)]
@@ -258,6 +260,24 @@ fn write_time(f: &mut fmt::Formatter, first: Option<Nanos>, duration_s: f64) -> 
 }
 
 impl Description {
+    /// What can be said of a log whose ground truth has no object, and what cannot; `None` of a log that can be scored.
+    pub fn lacks_truth(&self) -> Option<String> {
+        if !self.truth_classes.is_empty() || self.truncated.is_some() {
+            return None;
+        }
+        let mut agents = self.info.agents.iter();
+        let has_topic = agents.any(|agent| self.topics.contains_key(&Stream::GroundTruth.topic(&agent.name)));
+        let lacks = match (has_topic, self.problems.is_empty()) {
+            (true, true) => "the ground truth of all agents has no object",
+            // What cannot be read is a problem that is named.
+            (true, false) => return None,
+            (false, _) => "no agent has ground truth",
+        };
+        Some(format!(
+            "{lacks}: a run reports rates, ages, bytes and boxes, and scores nothing; docs/guide/your-data.md says how truth is added"
+        ))
+    }
+
     /// What becomes of body frames that tilt.
     fn mended(&self) -> &'static str {
         match self.info.precomputed {
@@ -270,6 +290,9 @@ impl Description {
 impl fmt::Display for Description {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         write_head(f, &self.path, self.bytes, self.truncated.as_ref())?;
+        for problem in &self.problems {
+            writeln!(f, "  PROBLEM: {problem}")?;
+        }
         writeln!(f, "  source    {}", self.info.source)?;
         writeln!(f, "  program   {}", self.info.program)?;
         writeln!(f, "  protocol  {}", self.info.protocol)?;
@@ -299,8 +322,8 @@ impl fmt::Display for Description {
         for (agent, sweeps) in &self.sweeps {
             writeln!(f, "    {agent:<12} {sweeps}")?;
         }
-        for problem in &self.problems {
-            writeln!(f, "  PROBLEM: {problem}")?;
+        if let Some(words) = self.lacks_truth() {
+            writeln!(f, "  no truth  {words}")?;
         }
         write_topics(f, &self.topics)?;
         match self.not_read.is_empty() {

@@ -56,6 +56,26 @@ pub fn yaml<T: DeserializeOwned>(text: &str) -> Result<T, String> {
     serde_yaml::from_str(text).map_err(|error| shown(&error.to_string()))
 }
 
+/// No heading is larger, rad: a turn, and what rounding adds to it.
+const MOST_TURN: f64 = std::f64::consts::TAU + 1e-3;
+/// What is not larger may be a heading in degrees.
+const MOST_DEGREES: f64 = 720.0;
+
+/// An angle that should be in radians.
+///
+/// # Errors
+/// One beyond a turn, which was most likely written in degrees.
+pub fn in_radians(angle: f64) -> Result<f64, String> {
+    if angle.abs() <= MOST_TURN {
+        return Ok(angle);
+    }
+    let looks = match angle.abs() <= MOST_DEGREES {
+        true => format!(", which looks like degrees: {angle}° are {:.4} rad", angle.to_radians()),
+        false => String::new(),
+    };
+    Err(format!("expected radians within ±2π, found {angle}{looks}"))
+}
+
 /// A text as messages repeat it: its head, if it is long.
 pub fn shown(text: &str) -> String {
     head(text, SHOWN)
@@ -179,6 +199,22 @@ mod tests {
     use serde_yaml::Value;
 
     use super::*;
+
+    #[test]
+    fn an_angle_beyond_a_turn_is_refused_and_one_in_degrees_is_said() {
+        for angle in [0.0, -3.2, 6.2832, -6.2832] {
+            assert_eq!(in_radians(angle), Ok(angle));
+        }
+        let degrees = in_radians(-90.0).unwrap_err();
+        assert_eq!(
+            degrees,
+            "expected radians within ±2π, found -90, which looks like degrees: -90° are -1.5708 rad"
+        );
+        for angle in [1e4, f64::NAN, f64::INFINITY] {
+            let error = in_radians(angle).unwrap_err();
+            assert!(error.contains("within ±2π") && !error.contains("degrees"), "{error}");
+        }
+    }
 
     #[test]
     fn a_document_that_means_much_more_than_it_holds_is_refused() {

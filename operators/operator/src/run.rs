@@ -52,10 +52,11 @@ fn serve(registration: &'static Registration, args: &[String]) -> Result<(), Str
             "a plug-in, which a graph starts: give a node `path: bin/realo` and `args: program {program}`"
         ));
     }
+    // What a stage loads for its sizes, it need not load again where it is built.
+    let maps = (registration.maps)(args);
     let built = (registration.build)(args).map_err(|error| error.to_string())?;
     let (calls, replies) = (std::io::stdin().lock(), std::io::stdout().lock());
     let shares = std::env::var(MEMORY_VARIABLE).is_ok_and(|probe| memory::reaches(&probe));
-    let maps = (registration.maps)(args);
     let replies = std::io::BufWriter::new(replies);
     pipe::serve(registration, built, &maps, calls, replies, shares)
 }

@@ -173,6 +173,13 @@ impl MapFile {
             {
                 return wrong(format!("mounts.{frame}: expected six finite numbers"));
             }
+            for (frame, [_, _, _, angles @ ..]) in &agent.mounts {
+                for (name, angle) in ["roll", "pitch", "yaw"].iter().zip(angles) {
+                    if let Err(reason) = realo_documents::in_radians(*angle) {
+                        return wrong(format!("mounts.{frame}: {name}: {reason}"));
+                    }
+                }
+            }
         }
         Ok(map)
     }
@@ -263,6 +270,8 @@ impl<'de> Deserialize<'de> for PoseSource {
             NumbersOrText::Text(topic) => Ok(PoseSource::Topic(topic)),
             NumbersOrText::Numbers(numbers) => match numbers[..] {
                 [x, y, z, yaw] if numbers.iter().all(|v| v.is_finite()) => {
+                    let yaw = realo_documents::in_radians(yaw)
+                        .map_err(|reason| D::Error::custom(format!("pose: yaw: {reason}")))?;
                     Ok(PoseSource::Fixed(Isometry3::from_parts(
                         Translation3::new(x, y, z),
                         UnitQuaternion::from_euler_angles(0.0, 0.0, yaw),
@@ -384,6 +393,19 @@ mod tests {
             assert!(error.contains(expected), "{error}");
         }
         assert!(MapFile::parse("agents: {}").unwrap_err().contains("found none"));
+    }
+
+    #[test]
+    fn angles_in_degrees_are_refused() {
+        let refused = |text: String| MapFile::parse(&text).unwrap_err();
+        let pose = refused(SHORT.replace("pose: tf", "pose: [5, 6, 0, 90]"));
+        let degrees = "expected radians within ±2π, found 90, which looks like degrees: 90° are 1.5708 rad";
+        assert!(pose.contains("pose: yaw: ") && pose.contains(degrees), "{pose}");
+        let mount = refused(format!("{SHORT}    mounts: {{lidar: [0, 0, 2, 0, 90, 0]}}\n"));
+        assert!(
+            mount.contains(&format!("agents.car: mounts.lidar: pitch: {degrees}")),
+            "{mount}"
+        );
     }
 
     #[test]

@@ -73,12 +73,14 @@ pub struct Sweep {
     pub is_scored: bool,
 }
 
-/// Sweeps that were left out.
+/// Sweeps and boxes that were left out.
 #[derive(Default)]
 pub struct LeftOut {
     without_boxes: u64,
     without_pose: u64,
     without_way: u64,
+    /// Boxes that are the agent itself.
+    itself: u64,
 }
 
 impl LeftOut {
@@ -91,7 +93,12 @@ impl LeftOut {
             (self.without_way, "without a transform to the body frame".into()),
         ];
         let lines = causes.iter().filter(|(count, _)| *count > 0);
-        lines.map(|(count, cause)| format!("{count} sweeps {cause}")).collect()
+        let lines = lines.map(|(count, cause)| format!("{count} sweeps {cause}"));
+        let itself = format!(
+            "{} boxes centred in the outline of their agent, which are the agent itself",
+            self.itself
+        );
+        lines.chain((self.itself > 0).then_some(itself)).collect()
     }
 }
 
@@ -318,7 +325,10 @@ impl<'a> Scene<'a> {
                 && let Some(parts) = waiting[index].remove(&stamp)
             {
                 match self.sweep(index, stamp, parts) {
-                    Some(sweep) => each(sweep)?,
+                    Some((sweep, itself)) => {
+                        left_out.itself += itself;
+                        each(sweep)?;
+                    }
                     None => left_out.without_pose += 1,
                 }
             }
@@ -333,13 +343,16 @@ impl<'a> Scene<'a> {
         Ok(left_out)
     }
 
-    fn sweep(&self, index: usize, stamp: Nanos, parts: Parts) -> Option<Sweep> {
+    /// A sweep, and how many wanted boxes are the agent itself.
+    fn sweep(&self, index: usize, stamp: Nanos, parts: Parts) -> Option<(Sweep, u64)> {
         let agent = &self.agents[index];
         let boxes = parts.boxes.unwrap_or_default().0;
+        let of_class = boxes.iter().filter(|object| self.options.wants_class(&object.class));
+        let itself = of_class.filter(|object| agent.is_itself(object.center)).count() as u64;
         let is_wanted = |object: &Box3| !agent.is_itself(object.center) && self.options.wants_class(&object.class);
         let wanted: Vec<bool> = boxes.iter().map(is_wanted).collect();
         let points = parts.points.filter(|points| points.len() == boxes.len());
-        Some(Sweep {
+        let sweep = Sweep {
             agent: index,
             stamp,
             map_from_body: agent.track.at(stamp)?,
@@ -347,7 +360,8 @@ impl<'a> Scene<'a> {
             boxes: chosen_of(boxes, &wanted),
             points: points.map(|points| chosen_of(points, &wanted)),
             is_scored: !parts.is_unscored,
-        })
+        };
+        Some((sweep, itself))
     }
 }
 

@@ -70,6 +70,14 @@ pub enum ImportError {
         /// Logs of complete scenes, which were written.
         written: Vec<String>,
     },
+    /// An import that failed, where a data set is near.
+    #[error("{error}\n{hint}")]
+    Hinted {
+        /// Why it failed.
+        error: Box<ImportError>,
+        /// What to try.
+        hint: String,
+    },
     /// An option that cannot be taken.
     #[error("{0}")]
     Option(String),
@@ -116,6 +124,13 @@ impl ImportError {
         ImportError::Content {
             path: path.into(),
             reason: reason.to_string(),
+        }
+    }
+
+    pub(crate) fn with_hint(self, hint: String) -> ImportError {
+        ImportError::Hinted {
+            error: Box::new(self),
+            hint,
         }
     }
 

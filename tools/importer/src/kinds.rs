@@ -33,6 +33,8 @@ pub struct Kind {
     pub unit: &'static str,
     /// What is given to the import, if that is not one folder.
     pub paths: Option<&'static str>,
+    /// Whether it is known by what is in its root alone; else scenes are looked for below a folder.
+    pub is_exact: bool,
     /// Options that it takes, each with its default, empty where there is none.
     pub options: &'static [(&'static str, &'static str)],
 }
@@ -77,11 +79,36 @@ pub trait Importer: Sync {
     /// Why it is not.
     fn recognise(&self, dir: &Path) -> Result<String, String>;
 
+    /// Why a folder that `recognise` does not know may be of this kind nevertheless: nothing in it tells this kind from another.
+    fn undecided(&self, _: &Path) -> Option<String> {
+        None
+    }
+
+    /// Finds out what there is to do in a folder that may be of this kind, as [`Importer::job`].
+    ///
+    /// # Errors
+    /// Scenes, agents or frames that do not exist.
+    fn prepare(&self, dir: &Path, output: &Path, options: &Options) -> Result<Job, ImportError>;
+
     /// Finds out what there is to do, and does nothing yet. `output`: a log, or a folder for a log of each scene.
     ///
     /// # Errors
-    /// Another layout; scenes, agents or frames that do not exist.
-    fn job(&self, dir: &Path, output: &Path, options: &Options) -> Result<Job, ImportError>;
+    /// A folder of another kind, with its name; scenes, agents or frames that do not exist.
+    fn job(&self, dir: &Path, output: &Path, options: &Options) -> Result<Job, ImportError> {
+        let Err(why_not) = self.recognise(dir) else {
+            return self.prepare(dir, output, options);
+        };
+        if let Some(line) = self.undecided(dir) {
+            let line = format!("{line}: taken as `{}`, as it was named", self.kind().name);
+            return Ok(self.prepare(dir, output, options)?.assuming(line));
+        }
+        let hint = seen::refuse_others(self.kind(), dir, &why_not)?;
+        let job = self.prepare(dir, output, options);
+        match hint {
+            None => job,
+            Some(hint) => Ok(job.map_err(|error| error.with_hint(hint.clone()))?.hinting(hint)),
+        }
+    }
 }
 
 /// All kinds.

@@ -72,7 +72,10 @@ pub fn main(args: &Args) -> Result<Outcome> {
             println!("{seen}");
             match output {
                 Some(output) => import(importer, dir, output, *force, &importer.kind().defaults()),
-                None => Ok(Outcome::Complete),
+                None => {
+                    println!("{}", seen.next(dir));
+                    Ok(Outcome::Complete)
+                }
             }
         }
         Some(Source::Log {

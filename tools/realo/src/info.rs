@@ -40,30 +40,37 @@ pub fn main(args: &Args) -> Result<Outcome> {
     for path in logs {
         let mut described = realo_logs::describe_any(path)?;
         let dropped = dropped_classes(&described);
-        // What is wrong with others is known already, and may keep them from being played.
-        if let Described::Log(log) = &mut described
-            && log.problems.is_empty()
-            && log.truncated.is_none()
-        {
-            log.problems = faults_of_runs(path)?;
-        }
-        if args.json {
-            println!("{}", serde_json::to_string_pretty(&described)?);
-        } else {
-            println!("{described}");
-            for Dropped { words, is_all } in &dropped {
-                let head = if *is_all { "PROBLEM:" } else { "dropped  " };
-                println!("  {head} {words}");
+        if let Described::Log(log) = &mut described {
+            // What is wrong with others is known already, and may keep them from being played.
+            if log.problems.is_empty() && log.truncated.is_none() {
+                log.problems = faults_of_runs(path)?;
             }
+            let all = dropped.iter().filter(|dropped| dropped.is_all);
+            log.problems.extend(all.map(|dropped| dropped.words.clone()));
         }
-        let scores_nothing = dropped.iter().any(|dropped| dropped.is_all);
-        if described.truncated().is_some() || described.has_problems() || scores_nothing {
+        if described.truncated().is_some() || described.has_problems() {
             outcome = Outcome::Partial;
-        } else if !args.json {
-            println!("  no problems found");
+        }
+        match args.json {
+            true => println!("{}", serde_json::to_string_pretty(&described)?),
+            false => print(&described, &dropped),
         }
     }
     Ok(outcome)
+}
+
+/// A description, with problems at its head, what a protocol drops and the verdict at its end.
+fn print(described: &Described, dropped: &[Dropped]) {
+    println!("{described}");
+    for Dropped { words, .. } in dropped.iter().filter(|dropped| !dropped.is_all) {
+        println!("  dropped   {words}");
+    }
+    match described.problems().len() {
+        0 if described.has_problems() || described.truncated().is_some() => {}
+        0 => println!("  no problems found"),
+        1 => println!("  1 problem found, named at the top"),
+        several => println!("  {several} problems found, named at the top"),
+    }
 }
 
 /// The faults of a log that a run of it would report, for the first ego for which there are any.

@@ -137,8 +137,12 @@ pub fn read(bytes: Buffer) -> Result<Hello, String> {
     if name.is_empty() {
         return Err("expected a name, found an empty one".into());
     }
-    let ports: Ports =
-        serde_json::from_str(row.text("ports")?).map_err(|error| format!("the declaration of ports: {error}"))?;
+    let ports: Ports = serde_json::from_str(row.text("ports")?).map_err(|error| {
+        format!(
+            "the declaration of ports: {error}; correct it, or build the program against this realo where it knows a field that this \
+             realo does not"
+        )
+    })?;
     let shares = match row.text("memory")? {
         MEMFD => true,
         PIPE => false,
@@ -377,6 +381,20 @@ mod tests {
     }
 
     #[test]
+    fn what_a_program_leaves_out_of_a_port_is_as_in_programs_that_do_not_know_it() {
+        let old =
+            r#"{"inputs": [{"name": "a", "types": ["FeatureMap"]}], "outputs": [{"name": "b", "types": ["Boxes"]}]}"#;
+        let hello = said(old).unwrap().registration;
+        let expected = Port::new("a", &[PayloadType::FeatureMap], "");
+        assert_eq!(format!("{:?}", hello.inputs[0]), format!("{expected:?}"));
+        assert!(hello.inputs[0].map.is_none() && hello.outputs[0].map.is_none());
+        let new = old.replacen('}', r#", "map": {"size": [null, 256, 64], "by": "a.onnx"}}"#, 1);
+        let hello = said(&new).unwrap().registration;
+        let map = hello.inputs[0].map.unwrap();
+        assert_eq!((map.size, map.by.as_str()), ([None, Some(256), Some(64)], "a.onnx"));
+    }
+
+    #[test]
     fn refuses_what_cannot_be_with_what_was_expected() {
         let cases = [
             (r#"{"inputs": [], "outputs": []}"#, "at least one input"),
@@ -410,6 +428,18 @@ mod tests {
                 "a name of its own",
             ),
             ("nonsense", "declaration of ports"),
+            (
+                r#"{"inputs": [{"name": "a", "types": ["Boxes"], "requird": false}], "outputs": []}"#,
+                "unknown field `requird`",
+            ),
+            (
+                r#"{"inputs": [{"name": "a", "types": ["Boxes"], "colour": 1}], "outputs": []}"#,
+                "build the program against this realo where it knows a field that this realo does not",
+            ),
+            (
+                r#"{"inputs": [{"name": "a", "types": ["FeatureMap"], "map": {"size": [1, 2]}}], "outputs": []}"#,
+                "declaration of ports",
+            ),
         ];
         for (ports, expected) in cases {
             let error = said(ports).map(|_| ()).unwrap_err();

@@ -19,9 +19,13 @@
 //!
 //! | frame | direction | columns |
 //! |---|---|---|
-//! | hello | first from the program | `version` (u32), `name`, `memory` (`memfd` or `pipe`), `ports` (JSON: `role`, where it is not `operator`; `inputs` and `outputs`, each a list of `name`, `types`, `about`, for inputs also `queue`, `class`, `required`, `join`, `accounts`, `wire`, and for both `lane`) |
+//! | hello | first from the program | `version` (u32), `name`, `memory` (`memfd` or `pipe`), `ports` (JSON: `role`, where it is not `operator`; `inputs` and `outputs`, each a list of `name`, `types`, `about`, for inputs also `queue`, `class`, `required`, `join`, `accounts`, `wire`, and for both `lane` and `map` (`size`: rows, columns, channels, null where any may come; `by`)) |
 //! | call | to the program | `call` (`input`, `wake` or `end`), `port`, `now` (i64, ns), for an input `message` (struct) |
 //! | reply | one for each call | `error` (empty: none), `ports` (list), `message_0`, `message_1`, … (structs; one for each of `ports`), `wakes` (list of i64, ns), `counters` (list), `counts` (list of u64), `reported` (JSON: `fates` and `traffic`, what the operator says of messages that cross links; `losses`, by counter what is lost: `meaning`, `note`, `remedy`, `agents`) |
+//!
+//! Of a port only `name` and `types` are needed; all else may be left out, as `map`, which came within version 4: programs in Python and
+//! those built before do not say it. A field that a host does not know is refused by name, so that neither a slip nor a newer program
+//! is taken for what it is not. A field that a host must know to be right needs a new version.
 //!
 //! A message is a struct as [`realo_schemas::wire`] makes it; its `ready` is when the program wishes it to be sent. An
 //! error in a reply belongs to one message and is counted; a program that exits, closes its output or answers

@@ -12,7 +12,7 @@ use realo_transmission::cpm::{Geodetic, station_of};
 use realo_transmission::{BoxesLayout, Dropped, EncodeError, Encoder, EncoderSettings};
 
 use self::index::Index;
-use self::lists::{Agents, List, each_list};
+use self::lists::{Agents, List, Source, each_list};
 use super::{Exporter, Kind, Report};
 use crate::options::BoxSource;
 use crate::{ExportError, Exported, ExportedAgent, Folder, Options};
@@ -54,7 +54,6 @@ impl Exporter for Cpm {
         options: &Options,
         report: Report,
     ) -> Result<Exported, ExportError> {
-        let file = McapFile::open(log.path())?;
         let origin = log
             .info()
             .map_origin
@@ -63,7 +62,8 @@ impl Exporter for Cpm {
                 longitude_deg,
                 height_m,
             });
-        write(&file, Agents::of_log(log, options)?, origin, folder, options, report)
+        let agents = Agents::of_log(log, options)?;
+        write(&Source::Log(log), agents, origin, folder, options, report)
     }
 
     fn write_recording(
@@ -73,26 +73,20 @@ impl Exporter for Cpm {
         options: &Options,
         report: Report,
     ) -> Result<Exported, ExportError> {
-        write(
-            file,
-            Agents::of_recording(file, options)?,
-            None,
-            folder,
-            options,
-            report,
-        )
+        let agents = Agents::of_recording(file, options)?;
+        write(&Source::Recording(file), agents, None, folder, options, report)
     }
 }
 
 fn write(
-    file: &McapFile,
+    source: &Source,
     agents: Agents,
     known_origin: Option<Geodetic>,
     folder: &mut Folder,
     options: &Options,
     report: Report,
 ) -> Result<Exported, ExportError> {
-    let refused = |reason: String| ExportError::unfit(file.path(), reason);
+    let refused = |reason: String| ExportError::unfit(source.path(), reason);
     let origin = options.origin.or(known_origin).ok_or_else(|| {
         refused(
             "the place of the map on the Earth: expected `map_origin` in the log or --origin, found neither; give it, as \
@@ -101,8 +95,8 @@ fn write(
         )
     })?;
     stations(&agents).map_err(refused)?;
-    let mut writing = Writing::new(&agents, origin, options, file)?;
-    let without_pair = each_list(file, &agents, options, report, |list| writing.list(folder, list))?;
+    let mut writing = Writing::new(&agents, origin, options, source)?;
+    let without_pair = each_list(source, &agents, options, report, |list| writing.list(folder, list))?;
     writing.exported(folder, origin, without_pair)
 }
 
@@ -123,7 +117,7 @@ fn stations(agents: &Agents) -> Result<(), String> {
 struct Writing<'a> {
     agents: &'a Agents,
     options: &'a Options,
-    file: &'a McapFile,
+    source: &'a Source<'a>,
     encoder: Encoder,
     run: Name,
     index: Index,
@@ -131,6 +125,8 @@ struct Writing<'a> {
     dropped: Dropped,
     /// Velocities that have no number.
     too_fast: u64,
+    /// Objects that are the agent itself.
+    itself: u64,
 }
 
 impl<'a> Writing<'a> {
@@ -138,7 +134,7 @@ impl<'a> Writing<'a> {
         agents: &'a Agents,
         origin: Geodetic,
         options: &'a Options,
-        file: &'a McapFile,
+        source: &'a Source<'a>,
     ) -> Result<Self, ExportError> {
         let settings = EncoderSettings {
             boxes: BoxesLayout::Cpm,
@@ -150,12 +146,13 @@ impl<'a> Writing<'a> {
             agents,
             options,
             encoder: Encoder::new(&settings).map_err(|error| ExportError::Option(error.to_string()))?,
-            file,
+            source,
             run: "export".into(),
             index: Index::default(),
             summaries: BTreeMap::new(),
             dropped: Dropped::default(),
             too_fast: 0,
+            itself: 0,
         })
     }
 
@@ -164,8 +161,10 @@ impl<'a> Writing<'a> {
         let outline = self.agents.outline(&list.agent);
         let is_itself = |object: &Box3| outline.is_some_and(|outline| is_inside(object, outline));
         let options = self.options;
-        list.boxes
-            .retain(|object| options.wants_class(&object.class) && !is_itself(object));
+        list.boxes.retain(|object| options.wants_class(&object.class));
+        let wanted = list.boxes.len();
+        list.boxes.retain(|object| !is_itself(object));
+        self.itself += (wanted - list.boxes.len()) as u64;
         let (packet, dropped) = self.encoded(&list)?;
         let number = self.summaries.get(&list.agent).map_or(0, |summary| summary.sweeps);
         let name = format!("{}/{number:06}.uper", list.agent);
@@ -224,7 +223,10 @@ impl<'a> Writing<'a> {
 
     fn refused(&self, list: &List, reason: &str) -> ExportError {
         let List { agent, stamp, .. } = list;
-        ExportError::unfit(self.file.path(), format!("agent `{agent}`, stamp {stamp} ns: {reason}"))
+        ExportError::unfit(
+            self.source.path(),
+            format!("agent `{agent}`, stamp {stamp} ns: {reason}"),
+        )
     }
 
     /// What messages do not hold, a line each.
@@ -255,7 +257,7 @@ impl<'a> Writing<'a> {
             let reason = format!(
                 "topic `/AGENT/{topic}`: expected boxes of at least one agent, found none; --boxes takes others, see `realo info`"
             );
-            return Err(ExportError::unfit(self.file.path(), reason));
+            return Err(ExportError::unfit(self.source.path(), reason));
         }
         folder.write(INDEX, self.index.text().as_bytes())?;
         let counted = [
@@ -270,6 +272,10 @@ impl<'a> Writing<'a> {
             (
                 self.dropped.surplus,
                 "objects of the lowest scores, beyond 255 in a message",
+            ),
+            (
+                self.itself,
+                "objects centred in the outline of their agent, which are the agent itself",
             ),
             (
                 without_pair,

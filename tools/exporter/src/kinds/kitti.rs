@@ -129,7 +129,7 @@ impl Writing<'_> {
             "outlines of vehicles and words about sensors".into(),
         ];
         lines.push(lost::SCORED.into());
-        lines.extend(lost::of_frames(scene));
+        lines.extend(lost::of_frames(scene).iter().map(ToString::to_string));
         let height = number(scene.agents[0].height);
         let footprint = lost::footprint(scene.agents.iter()).unwrap_or_default();
         Exported {

@@ -12,8 +12,9 @@ use realo_schemas::{Nanos, PointCloud};
 use self::cloud::pcd;
 use self::labels::{Ids, yaml};
 use super::{Exporter, Kind, Report};
+use crate::lost::{self, Lost};
 use crate::scene::{Scene, SceneAgent, Sweep, speed};
-use crate::{ExportError, Exported, ExportedAgent, Folder, Options, lost};
+use crate::{ExportError, Exported, ExportedAgent, Folder, Options};
 
 /// OPV2V.
 pub struct Opv2v;
@@ -81,12 +82,13 @@ fn folders(scene: &Scene) -> Vec<String> {
     scene.agents.iter().map(&mut folder).collect()
 }
 
-/// A line of what the layout does not hold, with where it is nevertheless.
-fn aside(line: String, keeps_motion: bool) -> String {
-    let has_times = keeps_motion && line.starts_with("times and rings");
-    match has_times || line.starts_with("poses ") {
-        true => format!("{line} (times and poses: {ASIDE})"),
-        false => line,
+/// A line of what the layout does not hold, with where it is nevertheless: `poses.csv` has all poses, and clouds whose motion was
+/// kept have the times of points.
+fn aside(lost: Lost, keeps_motion: bool) -> String {
+    match lost {
+        Lost::PosesBetween | Lost::BelievedPoses => format!("{lost} (times and poses: {ASIDE})"),
+        Lost::PointTimes if keeps_motion => format!("{lost} (times and poses: {ASIDE})"),
+        other => other.to_string(),
     }
 }
 
@@ -221,7 +223,7 @@ impl<'a> Writing<'a> {
             ));
         }
         let keeps_motion = scene.options.keeps_motion;
-        lines.extend(lost::of_frames(scene).into_iter().map(|line| aside(line, keeps_motion)));
+        lines.extend(lost::of_frames(scene).into_iter().map(|lost| aside(lost, keeps_motion)));
         let mut command = "realo-lab import opv2v PATH -o LOG.mcap".to_string();
         let is_open = |agent: &&SceneAgent| agent.kind == AgentKind::Vehicle && agent.stated_footprint.is_none();
         let vehicles = scene.agents.iter().filter(is_open);
@@ -238,6 +240,23 @@ impl<'a> Writing<'a> {
             lost: lines,
             read_back: command,
             ..Exported::default()
+        }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn poses_and_kept_times_are_there_for_the_import() {
+        let said = |lost, keeps_motion| aside(lost, keeps_motion).contains(ASIDE);
+        for keeps_motion in [true, false] {
+            assert!(said(Lost::PosesBetween, keeps_motion) && said(Lost::BelievedPoses, keeps_motion));
+            assert_eq!(said(Lost::PointTimes, keeps_motion), keeps_motion);
+            for lost in [Lost::Detections, Lost::Views, Lost::Packets, Lost::MapOrigin] {
+                assert_eq!(aside(lost, keeps_motion), lost.to_string());
+            }
         }
     }
 }

@@ -4,7 +4,10 @@ use std::collections::BTreeMap;
 use std::fs;
 use std::path::Path;
 
-use realo_logs::{AgentInfo, AgentKind, Log, LogInfo, LogWriter, MAX_GAP, Stream, pose_track};
+use realo_logs::{
+    AgentInfo, AgentKind, ChunkGroup, Log, LogInfo, LogWriter, MAX_GAP, McapWriter, Schema, Stream, boxes as log_boxes,
+    pose, pose_track,
+};
 use realo_operator::Steps;
 use realo_schemas::geometry::transform_box;
 use realo_schemas::{Box3, Boxes, Name, Payload};
@@ -205,4 +208,103 @@ fn what_a_message_cannot_hold_is_refused_by_name_or_left_out_and_counted() {
         error.contains("--boxes fused: expected the recording of a run"),
         "{error}"
     );
+}
+
+/// A log of others whose boxes are in this frame, and have these tracks.
+fn foreign(path: &Path, frame: &str, tracks: [u64; 2]) {
+    const STAMP: i64 = 1_767_225_600_000_000_000;
+    let entries = [
+        ("format", "1"),
+        ("program", "x"),
+        ("source", "x"),
+        ("agents", r#"[{"name":"car","kind":"vehicle"}]"#),
+        ("map_frame", "map"),
+        ("protocol", "default"),
+        ("key_frames", "all"),
+        ("map_origin", "[48.1374,11.5755,519.0]"),
+    ];
+    let metadata: BTreeMap<String, String> = entries.map(|(key, value)| (key.to_string(), value.to_string())).into();
+    let mut mcap = McapWriter::new(fs::File::create(path).unwrap(), "x", "realo", &metadata).unwrap();
+    let mut channel = |topic: &str, schema: Schema| mcap.channel(topic, schema, ChunkGroup::of(&schema.name()));
+    let poses = channel("/car/pose", Schema::PoseWithCovarianceStamped);
+    let detections = channel("/car/detections", Schema::Detection3DArray);
+    for step in 0..3 {
+        let at = STAMP + step * 50_000_000;
+        mcap.write(poses, at as u64, at as u64, |out| {
+            pose::encode(out, at, "map", &recorded(nalgebra::Isometry3::identity()));
+        })
+        .unwrap();
+    }
+    let objects = tracks.map(|track| {
+        let mut object = Box3::new("Car", [10.0 + track as f64, 3.0, 0.8], [4.2, 1.8, 1.6], 0.4);
+        object.track = Some(track);
+        object
+    });
+    mcap.write(detections, STAMP as u64, STAMP as u64, |out| {
+        log_boxes::encode(out, STAMP, frame, &objects);
+    })
+    .unwrap();
+    mcap.finish().unwrap();
+}
+
+#[test]
+fn boxes_of_a_log_pass_the_checks_of_its_other_readers() {
+    let dir = tempfile::tempdir().unwrap();
+    let (log, out) = (dir.path().join("foreign.mcap"), dir.path().join("out"));
+    foreign(&log, "car/lidar", [1, 2]);
+    let error = try_export("cpm", &log, &out, &[], false).unwrap_err();
+    assert!(
+        error.contains("its frame is `car/lidar`, expected `car/body`"),
+        "{error}"
+    );
+    assert!(!out.exists());
+    foreign(&log, "car/body", [1, 2]);
+    let exported = try_export("cpm", &log, &out, &[], false).unwrap();
+    assert_eq!((exported.agents[0].sweeps, exported.agents[0].boxes), (1, 2));
+}
+
+#[test]
+fn an_agent_that_is_not_there_is_refused_with_those_that_are() {
+    let dir = tempfile::tempdir().unwrap();
+    let (log, out) = (simulated(dir.path()), dir.path().join("out"));
+    for (option, names) in [("roadside", "rsu1,rsu"), ("agents", "cav1,rsu")] {
+        let set = [("origin", ORIGIN), ("boxes", "truth"), (option, names)];
+        let error = try_export("cpm", &log, &out, &set, false).unwrap_err();
+        assert!(
+            error.contains("has no agent `rsu`; it has: cav1, cav2, rsu1"),
+            "{error}"
+        );
+        assert!(!out.exists());
+    }
+}
+
+#[test]
+fn boxes_of_an_agent_itself_are_left_out_and_counted() {
+    let dir = tempfile::tempdir().unwrap();
+    let itself = MadeUp {
+        object: Box3::new("Car", [1.0, 0.1, 0.8], [4.2, 1.8, 1.6], 0.0),
+        ..MadeUp::default()
+    };
+    let log = itself.write(dir.path());
+    for (kind, set, expected) in [
+        (
+            "cpm",
+            &[("origin", ORIGIN), ("boxes", "truth")][..],
+            "2 objects centred in the outline of their agent, which are the agent itself",
+        ),
+        (
+            "opv2v",
+            &[],
+            "2 boxes centred in the outline of their agent, which are the agent itself",
+        ),
+        (
+            "kitti",
+            &[],
+            "2 boxes centred in the outline of their agent, which are the agent itself",
+        ),
+    ] {
+        let exported = try_export(kind, &log, &dir.path().join(kind), set, false).unwrap();
+        assert_eq!(exported.left_out, [expected], "{kind}");
+        assert_eq!(exported.agents[0].boxes, 0);
+    }
 }

@@ -15,6 +15,7 @@ static KIND: Kind = Kind {
     needs: "clouds (sensor_msgs/PointCloud2, or packets of Ouster and RoboSense) and poses: Odometry, PoseStamped, TF, or NavSatFix and Imu",
     unit: "messages",
     paths: Some("Bags (`.bag`, folders of ROS 2, `.db3`, `.mcap`, `.pcap`) that become one log, as of one agent each"),
+    is_exact: true,
     options: &[("map", ""), ("agents", "")],
 };
 
@@ -27,7 +28,7 @@ impl Importer for RosBag {
         realo_bags::recognise(path).map(String::from)
     }
 
-    fn job(&self, path: &Path, output: &Path, options: &Options) -> Result<Job, ImportError> {
+    fn prepare(&self, path: &Path, output: &Path, options: &Options) -> Result<Job, ImportError> {
         let paths = std::iter::once(path.to_path_buf()).chain(options.more.clone());
         let bags = Bags::new(paths.collect(), output, options);
         Ok(Job::new(vec![output.into()], move |report| {

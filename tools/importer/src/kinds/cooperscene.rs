@@ -4,12 +4,14 @@ use std::path::Path;
 
 use super::Kind;
 use super::family::{Family, FamilyKind, FrameFile, LabelFrame, options};
+use super::v2x_real;
 
 /// CooperScene.
 pub static COOPERSCENE: FamilyKind = FamilyKind {
     kind: &KIND,
     family: &FAMILY,
     recognise,
+    undecided,
 };
 
 static KIND: Kind = Kind {
@@ -18,6 +20,7 @@ static KIND: Kind = Kind {
     needs: "TAKE/{0..3}/000001.yaml with 000001.pcd beside it, also below SPLIT/; AGENT 0 is the roadside unit",
     unit: "frames",
     paths: None,
+    is_exact: false,
     options: &options("pose", "left", "pcd"),
 };
 
@@ -52,4 +55,16 @@ fn recognise(path: &Path, file: &FrameFile) -> Result<String, String> {
         (Some(other), _) => Err(format!("the pose in `{name}` has {other} numbers, not 6")),
         (None, _) => Err(format!("`{name}` has no pose; its keys are {}", file.keys())),
     }
+}
+
+/// OPV2V has the same keys.
+fn undecided(path: &Path, file: &FrameFile) -> Option<String> {
+    let may_be = file.pose_numbers() == Some(6) && file.key_of(&v2x_real::KEYS).is_none();
+    let ends = BESIDE.map(|end| format!("*{end}")).join("` or `");
+    may_be.then(|| {
+        format!(
+            "`{}` has no `{ends}` beside it, which OPV2V has not either",
+            path.display()
+        )
+    })
 }

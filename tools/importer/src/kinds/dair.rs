@@ -15,6 +15,7 @@ static KIND: Kind = Kind {
     needs: "cooperative/, vehicle-side/ and infrastructure-side/, each with data_info.json",
     unit: "pairs",
     paths: None,
+    is_exact: true,
     options: &[("roadside-stamp", "start"), ("level", "pose"), ("skip-incomplete", "")],
 };
 
@@ -31,7 +32,7 @@ impl Importer for Dair {
         }
     }
 
-    fn job(&self, dir: &Path, output: &Path, options: &Options) -> Result<Job, ImportError> {
+    fn prepare(&self, dir: &Path, output: &Path, options: &Options) -> Result<Job, ImportError> {
         let dair_options = DairOptions {
             roadside_stamp: options.roadside_stamp,
             level: options.level,

@@ -58,6 +58,8 @@ pub struct FamilyKind {
     pub family: &'static Family,
     /// Why a label file is of this kind, or why it is not.
     pub recognise: fn(&Path, &FrameFile) -> Result<String, String>,
+    /// Why a label file that is not known may be of this kind nevertheless.
+    pub undecided: fn(&Path, &FrameFile) -> Option<String>,
 }
 
 impl Importer for FamilyKind {
@@ -70,7 +72,12 @@ impl Importer for FamilyKind {
         (self.recognise)(&path, &file)
     }
 
-    fn job(&self, dir: &Path, output: &Path, options: &Options) -> Result<Job, ImportError> {
+    fn undecided(&self, dir: &Path) -> Option<String> {
+        let (path, file) = first_labels(dir).ok()?;
+        (self.undecided)(&path, &file)
+    }
+
+    fn prepare(&self, dir: &Path, output: &Path, options: &Options) -> Result<Job, ImportError> {
         Job::of_scenes(self.family, dir, output, options)
     }
 }

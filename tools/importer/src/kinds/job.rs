@@ -12,6 +12,10 @@ use crate::{ImportError, Options};
 pub struct Job {
     outputs: Vec<PathBuf>,
     run: Run,
+    /// What was assumed before, a line.
+    assumed: Option<String>,
+    /// What to try where it fails.
+    hint: Option<String>,
 }
 
 type Report<'a> = &'a mut dyn FnMut(&'static str, u64, u64);
@@ -25,6 +29,24 @@ impl Job {
         Job {
             outputs,
             run: Box::new(run),
+            assumed: None,
+            hint: None,
+        }
+    }
+
+    /// With what was assumed of the whole data set.
+    pub(super) fn assuming(self, line: String) -> Self {
+        Job {
+            assumed: Some(line),
+            ..self
+        }
+    }
+
+    /// With what to try where it fails.
+    pub(super) fn hinting(self, hint: String) -> Self {
+        Job {
+            hint: Some(hint),
+            ..self
         }
     }
 
@@ -54,7 +76,16 @@ impl Job {
     /// # Errors
     /// All that is missing or damaged, at once.
     pub fn run(self, report: Report) -> Result<Imported, ImportError> {
-        (self.run)(report)
+        let mut imported = (self.run)(report).map_err(|error| match self.hint {
+            Some(hint) => error.with_hint(hint),
+            None => error,
+        })?;
+        if let (Imported::Scenes(scenes, _), Some(line)) = (&mut imported, self.assumed) {
+            scenes
+                .iter_mut()
+                .for_each(|scene| scene.assumed.insert(0, line.clone()));
+        }
+        Ok(imported)
     }
 }
 

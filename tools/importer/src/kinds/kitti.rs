@@ -28,6 +28,7 @@ static KIND: Kind = Kind {
     needs: "velodyne/000000.bin, label_2/000000.txt, calib/000000.txt; poses.txt and times.txt where the frames follow each other",
     unit: "frames",
     paths: None,
+    is_exact: true,
     options: &[
         ("frames", ""),
         ("rate", "10"),
@@ -64,7 +65,7 @@ impl Importer for Kitti {
         }
     }
 
-    fn job(&self, dir: &Path, output: &Path, options: &Options) -> Result<Job, ImportError> {
+    fn prepare(&self, dir: &Path, output: &Path, options: &Options) -> Result<Job, ImportError> {
         Job::of_scenes(&LAYOUT, dir, output, options)
     }
 }

@@ -27,6 +27,7 @@ static KIND: Kind = Kind {
             SCENE/AGENT/000000.npy, 000000_boxes.npy and poses.npy; roadside AGENTs begin with `rsu`, `infra` or `-`",
     unit: "frames",
     paths: None,
+    is_exact: false,
     options: &[
         ("scenes", ""),
         ("without", ""),
@@ -77,7 +78,7 @@ impl Importer for Numpy {
         }
     }
 
-    fn job(&self, dir: &Path, output: &Path, options: &Options) -> Result<Job, ImportError> {
+    fn prepare(&self, dir: &Path, output: &Path, options: &Options) -> Result<Job, ImportError> {
         Job::of_scenes(&LAYOUT, dir, output, options)
     }
 }
@@ -235,9 +236,8 @@ fn poses(path: &Path, sweeps: usize) -> Result<Vec<Isometry3<f64>>, ImportError>
         [count, width @ (7 | 12 | 16)] if count == sweeps => width,
         _ => {
             return Err(wrong(format!(
-                "expected a pose for each of the {sweeps} sweeps beside it, {sweeps}×4×4, ×3×4 or ×7 (x, y, z, qx, qy, qz, qw), found the \
-                 shape {:?}",
-                array.shape
+                "expected a pose for each of the {sweeps} sweeps beside it, {sweeps}×4×4, ×3×4 or ×7 (x, y, z, qx, qy, qz, qw), found {}",
+                array.words()
             )));
         }
     };
@@ -284,12 +284,29 @@ fn archived(path: &Path, options: &Options) -> Result<RawSweep, ImportError> {
             "expected no arrays but `{known}`, found `{other}`; rename it, or leave it out"
         )));
     }
-    let missing = |name: &str, names: String| wrong(format!("expected an array `{name}`, found {names}"));
+    let missing = |name: &str, what: &str, names: String| {
+        wrong(format!(
+            "expected an array `{name}`, found {names}; save {what} under this name by numpy.savez"
+        ))
+    };
     let points_array = arrays.array("points").map_err(wrong)?;
-    let points_array = points_array.ok_or_else(|| missing("points", arrays.names()))?;
+    let points_array =
+        points_array.ok_or_else(|| missing("points", "N × 3 to 16 numbers (x, y, z, intensity)", arrays.names()))?;
     let pose = arrays.array("pose").map_err(wrong)?;
-    let pose = pose.ok_or_else(|| missing("pose", arrays.names()))?;
-    let pose = pose.numbers().and_then(|(numbers, _)| pose_of(numbers));
+    let pose = pose.ok_or_else(|| {
+        missing(
+            "pose",
+            "4×4, 3×4 or 7 numbers (the world from the LiDAR)",
+            arrays.names(),
+        )
+    })?;
+    let pose = pose.numbers().and_then(|(numbers, _)| match pose.shape[..] {
+        [4, 4] | [3, 4] | [7 | 12 | 16] => pose_of(numbers),
+        _ => Err(format!(
+            "expected a pose of 4×4, 3×4 or 7 numbers (x, y, z, qx, qy, qz, qw), found {}",
+            pose.words()
+        )),
+    });
     let mut optional = |name: &str| arrays.array(name).map_err(wrong);
     let (boxes, classes, tracks) = (optional("boxes")?, optional("classes")?, optional("tracks")?);
     let map_from_lidar = pose.map_err(|reason| wrong(format!("array `pose`: {reason}")))?;
@@ -368,14 +385,14 @@ fn labels(
         [0] => Vec::new(),
         _ => boxes
             .rows(7..=7)
-            .map_err(|reason| format!("boxes: {reason}"))?
+            .map_err(|reason| format!("boxes: {reason} (x, y, z, length, width, height, yaw are wanted)"))?
             .collect(),
     };
     let same = |name: &str, array: Option<&Array>| match array {
         Some(array) if array.shape != [rows.len()] => Err(format!(
-            "{name}: expected one for each of the {} boxes, found the shape {:?}",
+            "{name}: expected one for each of the {} boxes, found {}",
             rows.len(),
-            array.shape
+            array.words()
         )),
         _ => Ok(()),
     };
@@ -383,11 +400,14 @@ fn labels(
     same("tracks", tracks)?;
     let tracks = tracks
         .map(|tracks| tracks.numbers())
-        .transpose()?
+        .transpose()
+        .map_err(|reason| format!("tracks: {reason}"))?
         .map(|(numbers, _)| numbers);
     let class = |row: usize| match classes.map(|classes| &classes.items) {
         Some(Items::Texts(texts)) => Ok(texts[row].clone()),
-        Some(Items::Numbers(..)) => Err("classes: expected names, as [\"Car\", \"Bus\"], found numbers".to_string()),
+        Some(Items::Numbers(_, kind)) => Err(format!(
+            "classes: expected names, as [\"Car\", \"Bus\"], found numbers of {kind}"
+        )),
         None => Ok(options.class.clone()),
     };
     let mut known = BTreeSet::new();
@@ -415,6 +435,9 @@ fn labels(
         };
         let (map_from_object, size) = placed(numbers, map_from_lidar)
             .ok_or_else(|| format!("boxes: expected 7 finite numbers in row {row}, found {numbers:?}"))?;
+        realo_documents::in_radians(numbers[6]).map_err(|reason| {
+            format!("boxes: yaw in row {row}: {reason}; if it is in degrees, save numpy.deg2rad of that column")
+        })?;
         Ok(Label {
             track: track.and_then(|_| track_of(&id)),
             id,

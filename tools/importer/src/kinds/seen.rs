@@ -1,9 +1,10 @@
-//! Which kind of data set a folder is.
+//! Which kind of data set a folder is, and where its root is if it is near.
 
 use std::fmt;
-use std::path::Path;
+use std::path::{Path, PathBuf};
 
-use super::{Importer, KINDS};
+use super::folders::list;
+use super::{Importer, KINDS, Kind};
 use crate::ImportError;
 
 /// Which kinds a folder is, with why, and why it is not each of the others.
@@ -33,19 +34,189 @@ impl Seen {
     /// The only kind that fits.
     ///
     /// # Errors
-    /// None or several, with why.
+    /// None or several, with why, and the data sets that are near.
     pub fn only(&self, dir: &Path) -> Result<&'static dyn Importer, ImportError> {
-        match self.fits[..] {
-            [(importer, _)] => Ok(importer),
-            _ => Err(ImportError::content(
-                dir,
-                format!(
-                    "expected a data set of one kind, found {}:\n{self}\nname the kind: `import KIND`",
-                    self.fits.len()
-                ),
-            )),
+        if !dir.exists() {
+            let reason = "expected a data set or a bag, found nothing; correct the path";
+            return Err(ImportError::content(dir, reason));
+        }
+        let next = match &self.fits[..] {
+            [(importer, _)] => return Ok(*importer),
+            [] => hint(&near(dir)).unwrap_or_else(|| {
+                "give the folder that `realo-lab import --list` says of its kind; unpack archives first".into()
+            }),
+            several => {
+                let commands: Vec<String> = several
+                    .iter()
+                    .map(|(importer, _)| command(importer.kind(), dir))
+                    .collect();
+                format!("name the kind: {}", commands.join(" or "))
+            }
+        };
+        let found = match dir.is_file() {
+            // Of all kinds only bags are files.
+            true => self.said_of("bag").unwrap_or_default(),
+            false => self.to_string(),
+        };
+        Err(ImportError::content(
+            dir,
+            format!(
+                "expected a data set of one kind, found {}:\n{found}\n{next}",
+                self.fits.len()
+            ),
+        ))
+    }
+
+    /// How to import what was seen, and which data sets of other kinds are in the folder beside it.
+    pub fn next(&self, dir: &Path) -> String {
+        let names: Vec<&str> = self.fits.iter().map(|(importer, _)| importer.kind().name).collect();
+        let commands = self.fits.iter().map(|(importer, _)| command(importer.kind(), dir));
+        let mut lines: Vec<String> = commands.map(|command| format!("import it: {command}")).collect();
+        let mut besides = below(dir);
+        besides.retain(|near| !names.contains(&near.kind.name));
+        lines.extend(hint(&besides).map(|hint| format!("besides, {hint}")));
+        lines.join("\n")
+    }
+
+    fn said_of(&self, kind: &str) -> Option<String> {
+        let of = self.others.iter().find(|(importer, _)| importer.kind().name == kind)?;
+        Some(format!("it is not `{kind}`: {}", of.1))
+    }
+}
+
+/// A data set that is near a folder.
+struct Near {
+    path: PathBuf,
+    kind: &'static Kind,
+    why: String,
+}
+
+/// Refuses a folder that `kind` does not know, with why not, and that another kind knows. Gives what to say if the folder cannot be
+/// imported: where a data set of this kind is.
+///
+/// # Errors
+/// Another kind, here or near, with why and how it is imported.
+pub fn refuse_others(kind: &Kind, dir: &Path, why_not: &str) -> Result<Option<String>, ImportError> {
+    let here = fits(dir);
+    let near = if here.is_empty() { near(dir) } else { Vec::new() };
+    let has_own = near.iter().any(|near| near.kind.name == kind.name);
+    let refused = match (&here[..], has_own) {
+        ([], true) => return Ok(hint(&near)),
+        ([], false) => hint(&near),
+        _ => Some(looks_like(&here)),
+    };
+    match refused {
+        None => Ok(None),
+        Some(hint) => {
+            let reason = format!("{why_not}; expected {}; {hint}", kind.needs);
+            Err(ImportError::content(dir, reason))
         }
     }
+}
+
+/// The kinds that know a path.
+fn fits(path: &Path) -> Vec<Near> {
+    fits_of(path, |_| true)
+}
+
+/// Those of some kinds that know a path.
+fn fits_of(path: &Path, is_asked: impl Fn(&Kind) -> bool) -> Vec<Near> {
+    let asked = KINDS.iter().filter(|importer| is_asked(importer.kind()));
+    let known = asked.filter_map(|importer| {
+        let why = importer.recognise(path).ok()?;
+        Some(Near {
+            path: path.into(),
+            kind: importer.kind(),
+            why,
+        })
+    });
+    known.collect()
+}
+
+fn looks_like(here: &[Near]) -> String {
+    let lines: Vec<String> = here
+        .iter()
+        .map(|Near { path, kind, why }| {
+            format!(
+                "this looks like `{}`, because {why}; try {}",
+                kind.name,
+                command(kind, path)
+            )
+        })
+        .collect();
+    lines.join("; or ")
+}
+
+fn hint(near: &[Near]) -> Option<String> {
+    let lines = near.iter().map(|Near { path, kind, why }| {
+        let name = kind.name;
+        format!(
+            "`{}` looks like `{name}`, because {why}; try {}",
+            path.display(),
+            command(kind, path)
+        )
+    });
+    let lines: Vec<String> = lines.collect();
+    (!lines.is_empty()).then(|| lines.join("\n"))
+}
+
+fn command(kind: &Kind, path: &Path) -> String {
+    format!("`realo-lab import {} {} -o LOG`", kind.name, path.display())
+}
+
+/// Folders in a folder that are looked at, and data sets that are named.
+const LOOKED_AT: usize = 20;
+const NAMED: usize = 4;
+/// How names of files end that may be bags.
+const BAGS: [&str; 5] = ["bag", "mcap", "db3", "pcap", "zst"];
+/// How names of files end that are a part of a sweep.
+const PARTS: [&str; 7] = ["yaml", "pcd", "bin", "npz", "npy", "json", "txt"];
+
+/// Data sets in a folder, else those that it is a part of.
+fn near(dir: &Path) -> Vec<Near> {
+    let found = below(dir);
+    match found.is_empty() {
+        true => above(dir),
+        false => found,
+    }
+}
+
+fn below(dir: &Path) -> Vec<Near> {
+    let Ok(listed) = list(dir) else { return Vec::new() };
+    let is_bag = |name: &&String| {
+        name.rsplit_once('.')
+            .is_some_and(|(_, end)| BAGS.contains(&end.to_lowercase().as_str()))
+    };
+    let bags = listed.files.iter().filter(is_bag).map(|name| dir.join(name));
+    let paths = listed.folders.iter().cloned().take(LOOKED_AT);
+    let mut found = Vec::new();
+    for path in paths.chain(bags.take(LOOKED_AT)) {
+        found.extend(fits(&path));
+        if found.len() >= NAMED {
+            break;
+        }
+    }
+    found.truncate(NAMED);
+    found
+}
+
+/// The data set that a part of a sweep, or the folder of such parts or of an agent, is in.
+fn above(dir: &Path) -> Vec<Near> {
+    let Ok(whole) = dir.canonicalize() else {
+        return Vec::new();
+    };
+    let is_part = |name: &String| name.rsplit_once('.').is_some_and(|(_, end)| PARTS.contains(&end));
+    let holds_parts = || list(&whole).is_ok_and(|listed| listed.files.iter().any(is_part));
+    if !whole.is_file() && !holds_parts() {
+        return Vec::new();
+    }
+    // Kinds that look for scenes anywhere below a folder are asked of one only: a folder farther up may be a whole disk.
+    let mut ancestors = whole.ancestors().skip(1).take(2).zip([true, false]);
+    let found = ancestors.find_map(|(path, is_next)| {
+        let found = fits_of(path, |kind| is_next || kind.is_exact);
+        (!found.is_empty()).then_some(found)
+    });
+    found.unwrap_or_default()
 }
 
 impl fmt::Display for Seen {

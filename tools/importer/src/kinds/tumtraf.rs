@@ -29,6 +29,7 @@ static KIND: Kind = Kind {
             SENSORs that begin with `vehicle` are vehicles",
     unit: "frames",
     paths: None,
+    is_exact: true,
     options: &[
         ("scenes", ""),
         ("without", ""),
@@ -77,7 +78,7 @@ impl Importer for TumTraf {
         }
     }
 
-    fn job(&self, dir: &Path, output: &Path, options: &Options) -> Result<Job, ImportError> {
+    fn prepare(&self, dir: &Path, output: &Path, options: &Options) -> Result<Job, ImportError> {
         Job::of_scenes(&LAYOUT, dir, output, options)
     }
 }

@@ -27,6 +27,7 @@ static KIND: Kind = Kind {
             timesync_info.csv and labels/SEQ.json",
     unit: "frames",
     paths: None,
+    is_exact: false,
     options: &[
         ("scenes", ""),
         ("without", ""),
@@ -63,7 +64,7 @@ impl Importer for Urbaning {
         })
     }
 
-    fn job(&self, dir: &Path, output: &Path, options: &Options) -> Result<Job, ImportError> {
+    fn prepare(&self, dir: &Path, output: &Path, options: &Options) -> Result<Job, ImportError> {
         Job::of_scenes(&LAYOUT, dir, output, options)
     }
 }

@@ -10,6 +10,8 @@ pub static V2V4REAL: FamilyKind = FamilyKind {
     kind: &KIND,
     family: &FAMILY,
     recognise,
+    // Poses are matrices, or they are not.
+    undecided: |_, _| None,
 };
 
 static KIND: Kind = Kind {
@@ -18,6 +20,7 @@ static KIND: Kind = Kind {
     needs: "SCENE/0/000000.yaml and SCENE/1/000000.yaml with 000000.pcd beside each, also below SPLIT/",
     unit: "frames",
     paths: None,
+    is_exact: false,
     options: &options("ground", "right", "pcd"),
 };
 

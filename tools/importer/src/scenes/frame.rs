@@ -78,6 +78,7 @@ impl SceneImport<'_> {
         let stamp = stated.stamp.unwrap_or(by_clock);
         let mut faults = FaultsOfSweep::default();
         faults.keep(FileKind::Labels, check(files, &map_from_lidar, &labels));
+        faults.keep(FileKind::Labels, same_outline(files, stated.footprint, known));
         let level = self.options.level;
         let body_from_lidar = body_from_sensor(level, &map_from_lidar.rotation, known.height, &points);
         let placed = body_from_lidar.and_then(|body_from_lidar| {
@@ -122,6 +123,20 @@ pub fn numbers(scene: &Scene, options: &Options) -> Vec<u64> {
     numbers.dedup();
     numbers.retain(|number| options.wants_frame(*number));
     numbers
+}
+
+/// Checks that a file states the outline of its agent that the first files do: a log has one of each agent.
+fn same_outline(files: &SweepFiles, stated: Option<[f64; 4]>, known: &Known) -> Result<(), ImportError> {
+    let Some(stated) = stated.filter(|stated| known.footprint != Some(*stated)) else {
+        return Ok(());
+    };
+    let first = known
+        .footprint
+        .map_or("no outline".into(), |first| format!("{first:?}"));
+    let reason = format!(
+        "footprint: expected one outline in all files of an agent, found {stated:?} here and {first} in its first files; correct it, or          remove the key from all of them"
+    );
+    Err(ImportError::content(&files.labels, reason))
 }
 
 /// Checks that labels can be objects near their agent.

@@ -194,6 +194,25 @@ fn select_agents(dir: &Path, scenes: &mut [Scene], wanted: &[String]) -> Result<
     if wanted.is_empty() {
         return Ok(());
     }
+    let is_there = |name: &&String| {
+        let mut agents = scenes.iter().flat_map(|scene| &scene.agents);
+        agents.any(|agent| agent.folder == **name || agent.name == **name)
+    };
+    let (there, missing): (Vec<&String>, Vec<&String>) = wanted.iter().partition(is_there);
+    // Where none of them is there, the first scene without any is named.
+    if !there.is_empty() && !missing.is_empty() {
+        let folders: BTreeSet<&str> = scenes
+            .iter()
+            .flat_map(|scene| &scene.agents)
+            .map(|agent| agent.folder.as_str())
+            .collect();
+        let reason = format!(
+            "--agents: no scene has an agent {}; there are {}; correct the name, or leave it out",
+            names(missing.into_iter().map(String::as_str)),
+            names(folders.into_iter())
+        );
+        return Err(ImportError::content(dir, reason));
+    }
     for scene in scenes {
         let all = names(scene.agents.iter().map(|agent| agent.folder.as_str()));
         let is_wanted = |agent: &SceneAgent| wanted.contains(&agent.folder) || wanted.contains(&agent.name);

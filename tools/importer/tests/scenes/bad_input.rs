@@ -1,7 +1,9 @@
 //! What is missing or damaged is named, all of it, with what was expected, found, and what to try.
 
 use std::fs;
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
+
+use realo_importer::{importer, look_at};
 
 use crate::AGENTS;
 use crate::layouts::{OPV2V, Style, V2X_REAL, write};
@@ -159,6 +161,103 @@ fn another_folder_is_refused_with_what_was_expected() {
     );
     refused("opv2v", "empty", "1 × folder of an agent without frames\n    scene/5");
     refused("v2x-real", "empty", "see what `import auto` says of this folder");
+}
+
+#[test]
+fn a_folder_of_another_kind_is_named_with_the_command_that_takes_it() {
+    let dir = tempfile::tempdir().unwrap();
+    let out = dir.path().join("out.mcap");
+    let [opv2v, v2x_real, kitti] = ["opv2v", "v2x-real", "kitti"].map(|kind| dir.path().join(kind));
+    OPV2V.write(&opv2v.join("scene"), &AGENTS);
+    V2X_REAL.write(&v2x_real.join("scene"), &AGENTS);
+    for part in ["velodyne/000000.bin", "label_2/000000.txt", "calib/000000.txt"] {
+        write(&kitti.join("training").join(part), b"");
+    }
+    for (asked, data, is) in [
+        ("v2x-real", &opv2v, "opv2v"),
+        ("v2v4real", &opv2v, "opv2v"),
+        ("kitti", &opv2v, "opv2v"),
+        ("dair", &opv2v, "opv2v"),
+        ("bag", &opv2v, "opv2v"),
+        ("opv2v", &v2x_real, "v2x-real"),
+        ("cooperscene", &v2x_real, "v2x-real"),
+        ("opv2v", &kitti.join("training"), "kitti"),
+        ("numpy", &kitti.join("training"), "kitti"),
+        // One folder above the root, which scenes of the other layout could be in.
+        ("opv2v", &kitti, "kitti"),
+    ] {
+        let error = importer(asked)
+            .unwrap()
+            .job(data, &out, &importer(asked).unwrap().kind().defaults());
+        let error = error.err().unwrap_or_else(|| panic!("{asked} of {is}")).to_string();
+        let root = if *data == kitti {
+            kitti.join("training")
+        } else {
+            data.clone()
+        };
+        let command = format!("try `realo-lab import {is} {} -o LOG`", root.display());
+        for part in [&format!("looks like `{is}`, because "), &command] {
+            assert!(error.contains(part.as_str()), "{part} is not in\n{error}");
+        }
+    }
+    // The root of its own kind one folder down, or up.
+    for (asked, near, next) in [
+        ("kitti", &kitti, kitti.join("training")),
+        ("kitti", &kitti.join("training/velodyne"), kitti.join("training")),
+        ("opv2v", &opv2v.join("scene/641"), opv2v.join("scene")),
+    ] {
+        let error = import(asked, near, &out, &[]).unwrap_err();
+        let next = next.canonicalize().unwrap_or(next);
+        let command = format!("try `realo-lab import {asked} {} -o LOG`", next.display());
+        assert!(error.contains(&command), "{command} is not in\n{error}");
+    }
+    assert!(!out.exists());
+}
+
+#[test]
+fn what_nothing_tells_apart_is_taken_as_named_and_said() {
+    let style = Style { head: |_| "", ..OPV2V };
+    let (_dir, data, out) = made(&style);
+    let set = [("handed", "left"), ("level", "pose"), ("cloud", "pcd")];
+    let summary = &import("v2x-real", &data, &out, &set).unwrap()[0];
+    let line = "has no key that tells V2X-Real from OPV2V: taken as `v2x-real`, as it was named";
+    assert!(summary.assumed[0].contains(line), "{summary}");
+    let known = &import("opv2v", &data, &out.with_file_name("known.mcap"), &[]).unwrap()[0];
+    assert!(!known.to_string().contains("as it was named"), "{known}");
+}
+
+#[test]
+fn the_kind_of_a_folder_is_found_from_a_folder_above_or_below_too() {
+    let dir = tempfile::tempdir().unwrap();
+    let data = dir.path().join("data");
+    for part in ["velodyne/000000.bin", "label_2/000000.txt", "calib/000000.txt"] {
+        write(&data.join("training").join(part), b"");
+    }
+    let root = data.join("training").canonicalize().unwrap();
+    let command = |root: &Path| format!("try `realo-lab import kitti {} -o LOG`", root.display());
+    let said = |folder: &Path| look_at(folder).only(folder).err().unwrap().to_string();
+    for (folder, root) in [
+        (data.clone(), data.join("training")),
+        (root.join("velodyne"), root.clone()),
+        (root.join("velodyne/000000.bin"), root.clone()),
+    ] {
+        let error = said(&folder);
+        assert!(error.ends_with(&command(&root)), "{error}");
+    }
+    let nothing = said(&dir.path().join("nowhere"));
+    assert!(nothing.contains("found nothing; correct the path"), "{nothing}");
+    fs::create_dir_all(dir.path().join("empty")).unwrap();
+    let empty = said(&dir.path().join("empty"));
+    assert!(empty.contains("`realo-lab import --list`"), "{empty}");
+    // Beside scenes of one kind, a folder of another.
+    OPV2V.write(&data.join("opv2v/scene"), &AGENTS);
+    let seen = look_at(&data);
+    assert_eq!(seen.only(&data).unwrap().kind().name, "opv2v", "{seen}");
+    let next = seen.next(&data);
+    assert!(
+        next.starts_with("import it: `realo-lab import opv2v ") && next.contains(&command(&data.join("training"))),
+        "{next}"
+    );
 }
 
 #[test]

@@ -1,10 +1,10 @@
 //! Parts of a data set, and what its stamps and classes are taken for.
 
-use realo_importer::{KINDS, list};
+use realo_importer::{KINDS, importer, list};
 use realo_logs::Log;
 
 use crate::AGENTS;
-use crate::layouts::OPV2V;
+use crate::layouts::{OPV2V, Style};
 use crate::reading::{import, read};
 
 #[test]
@@ -97,6 +97,10 @@ fn each_scene_is_a_log_and_one_can_be_chosen() {
         ),
         (("agents", "7"), "has none of them; it has `641`, `650`"),
         (
+            ("agents", "641,65"),
+            "--agents: no scene has an agent `65`; there are `-1`, `641`, `650`; correct the name",
+        ),
+        (
             ("frames", "0..9"),
             "--frames 0..9: scene `test/2021_08_18_19_48_05` has frames 68 to 72",
         ),
@@ -161,4 +165,19 @@ fn the_list_has_every_kind_with_what_it_needs() {
             "{list}"
         );
     }
+}
+
+#[test]
+fn progress_is_reported_after_each_frame_of_a_scene() {
+    let dir = tempfile::tempdir().unwrap();
+    let (data, out) = (dir.path().join("data"), dir.path().join("out.mcap"));
+    let style = Style { frames: 7, ..OPV2V };
+    style.write(&data.join("scene"), &AGENTS);
+    let opv2v = importer("opv2v").unwrap();
+    let job = opv2v.job(&data, &out, &opv2v.kind().defaults()).unwrap();
+    let mut reported = Vec::new();
+    job.run(&mut |step, done, all| reported.push((step, done, all)))
+        .unwrap();
+    let expected: Vec<_> = (0..=7).map(|done| ("importing", done, 7)).collect();
+    assert_eq!(reported, expected);
 }

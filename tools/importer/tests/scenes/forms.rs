@@ -431,7 +431,7 @@ fn names_stamps_and_outlines_that_the_files_say_count_before_guesses() {
         say("641", lines);
         made.import(&[]).unwrap_err().to_string()
     };
-    let cases: [(&dyn Fn(u64) -> String, &str); 5] = [
+    let cases: [(&dyn Fn(u64) -> String, &str); 6] = [
         (
             &|_| "agent_name: a/b\n".into(),
             "agent_name: `a/b` cannot name an agent",
@@ -447,6 +447,11 @@ fn names_stamps_and_outlines_that_the_files_say_count_before_guesses() {
         (
             &|_| "footprint: [3, -1, 0, 1]\n".into(),
             "footprint: expected [x min, x max, y min, y max]",
+        ),
+        (
+            &|frame| format!("footprint: [-1.5, {}, -0.75, 0.75]\n", 3 + frame / 2),
+            "footprint: expected one outline in all files of an agent, found [-1.5, 4.0, -0.75, 0.75] here and [-1.5, 3.0, -0.75, 0.75] in \
+             its first files",
         ),
         (
             &|_| "footprint: wide\n".into(),

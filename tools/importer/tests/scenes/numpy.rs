@@ -224,7 +224,7 @@ fn what_an_archive_lacks_or_has_wrong_is_named() {
         ]
     };
     let lefthanded = Matrix4::from_diagonal(&nalgebra::Vector4::new(1.0, -1.0, 1.0, 1.0));
-    let cases: [(&str, Option<Vec<u8>>, &str); 7] = [
+    let cases: [(&str, Option<Vec<u8>>, &str); 9] = [
         ("pose", None, "expected an array `pose`, found `points`, `boxes`"),
         ("points", None, "expected an array `points`"),
         ("pose", Some(npy("<f8", "6,", &doubles(&[0.0; 6]))), "a pose of 4×4"),
@@ -241,12 +241,23 @@ fn what_an_archive_lacks_or_has_wrong_is_named() {
         (
             "boxes",
             Some(npy("<f8", "1, 6", &[0; 48])),
-            "boxes: expected a matrix of 7 to 7 columns",
+            "boxes: expected a matrix of 7 columns, found the shape [",
         ),
         (
             "boxes",
             Some(npy("<f8", "1, 7", &doubles(&[f64::NAN; 7]))),
             "expected 7 finite numbers in row 0",
+        ),
+        (
+            "boxes",
+            Some(npy("<f8", "1, 7", &doubles(&[9.0, 0.0, 0.0, 4.0, 2.0, 1.5, 90.0]))),
+            "boxes: yaw in row 0: expected radians within ±2π, found 90, which looks like degrees: 90° are 1.5708 rad; if it is in degrees, \
+             save numpy.deg2rad of that column",
+        ),
+        (
+            "pose",
+            Some(npy("<f4", "2, 8", &[0; 64])),
+            "array `pose`: expected a pose of 4×4, 3×4 or 7 numbers (x, y, z, qx, qy, qz, qw), found the shape [2, 8] of float32",
         ),
     ];
     for (name, other, expected) in cases {

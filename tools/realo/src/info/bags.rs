@@ -6,6 +6,11 @@ use std::path::{Path, PathBuf};
 
 use eyre::{Report, Result, WrapErr, eyre};
 use realo_bags::{Draft, Survey, decoded, open, survey};
+use realo_logs::LogError;
+
+/// What is said of bags of which no topic is taken for ground truth.
+const WITHOUT_TRUTH: &str = "no truth: no topic looks like ground truth, so a run of the log reports rates, ages, bytes and boxes, and \
+                             scores nothing; `truth: TOPIC` of an agent in the map file names one";
 
 /// Prints what bags hold, and a draft of the map file by which they become a log; says whether something of them is missing.
 pub fn describe(paths: &[&PathBuf], json: bool, map: Option<&Path>) -> Result<bool> {
@@ -17,7 +22,15 @@ pub fn describe(paths: &[&PathBuf], json: bool, map: Option<&Path>) -> Result<bo
             false => println!("{survey}"),
         }
     }
-    match (Draft::of(&surveys), map) {
+    let draft = Draft::of(&surveys);
+    if !json
+        && draft
+            .as_ref()
+            .is_ok_and(|draft| draft.map.agents.values().all(|agent| agent.truth.is_none()))
+    {
+        println!("{WITHOUT_TRUTH}");
+    }
+    match (draft, map) {
         (Ok(draft), Some(file)) => {
             let written = File::create_new(file).and_then(|mut file| file.write_all(draft.to_string().as_bytes()));
             written.wrap_err_with(|| {
@@ -42,7 +55,8 @@ fn read(path: &Path) -> Result<Survey> {
 /// Of a bag that cannot be read: beside the reason what its folder says of it.
 fn with_what_is_known(path: &Path, error: &Report) -> Report {
     match realo_logs::describe_any(path) {
-        Ok(_) => eyre!("{error:#}"),
-        Err(known) => eyre!("{error:#}\n{known}"),
+        // What it is and what it holds, by its folder; other errors would say the same again.
+        Err(LogError::NotMcap { reason, .. }) => eyre!("{error:#}\napart from that, {reason}"),
+        _ => eyre!("{error:#}"),
     }
 }

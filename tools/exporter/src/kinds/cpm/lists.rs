@@ -1,9 +1,10 @@
 //! Lists of boxes of a log or of the recording of a run, with where their agents are.
 
 use std::collections::{BTreeMap, BTreeSet};
+use std::path::Path;
 
 use nalgebra::Isometry3;
-use realo_logs::{AgentKind, Log, MAX_GAP, McapFile, RawMessage, Schema, Stream, boxes, pose_track};
+use realo_logs::{AgentKind, Log, MAX_GAP, McapFile, Schema, Stream, boxes, pose_track};
 use realo_schemas::geometry::PoseTrack;
 use realo_schemas::{Box3, Boxes, Nanos};
 
@@ -23,6 +24,24 @@ pub struct List {
     pub boxes: Vec<Box3>,
 }
 
+/// Where lists are read.
+pub enum Source<'a> {
+    /// A log.
+    Log(&'a Log),
+    /// The recording of a run.
+    Recording(&'a McapFile),
+}
+
+impl Source<'_> {
+    /// The file.
+    pub fn path(&self) -> &Path {
+        match self {
+            Source::Log(log) => log.path(),
+            Source::Recording(file) => file.path(),
+        }
+    }
+}
+
 /// What is known of the agents.
 pub struct Agents(BTreeMap<String, Agent>);
 
@@ -36,16 +55,9 @@ struct Agent {
 impl Agents {
     /// Of a log: its agents that are wanted and have boxes, with their true poses, or where it has none, those that they believed.
     pub fn of_log(log: &Log, options: &Options) -> Result<Self, ExportError> {
-        options.agents.iter().try_for_each(|name| log.need_agent(name))?;
-        let stream = match options.boxes {
-            BoxSource::Detections => Stream::Detections,
-            BoxSource::Truth => Stream::GroundTruth,
-            BoxSource::Own => Stream::OwnLabels,
-            BoxSource::Fused => {
-                let reason = "--boxes fused: expected the recording of a run, found a log; give the folder of the run";
-                return Err(ExportError::unfit(log.path(), reason));
-            }
-        };
+        let mut named = options.agents.iter().chain(&options.roadside);
+        named.try_for_each(|name| log.need_agent(name))?;
+        let [stream, _] = streams(log, options.boxes)?;
         let mut agents = BTreeMap::new();
         for info in &log.info().agents {
             if !options.wants_agent(&info.name) || !log.has(&info.name, stream) {
@@ -125,6 +137,78 @@ fn parts(topic: &str) -> Option<(&str, &str)> {
     topic.strip_prefix('/')?.split_once('/')
 }
 
+/// Boxes of a log, and their companions.
+fn streams(log: &Log, boxes: BoxSource) -> Result<[Stream; 2], ExportError> {
+    match boxes {
+        BoxSource::Detections => Ok([Stream::Detections, Stream::DetectionsInfo]),
+        BoxSource::Truth => Ok([Stream::GroundTruth, Stream::GroundTruthInfo]),
+        BoxSource::Own => Ok([Stream::OwnLabels, Stream::OwnLabelsInfo]),
+        BoxSource::Fused => {
+            let reason = "--boxes fused: expected the recording of a run, found a log; give the folder of the run";
+            Err(ExportError::unfit(log.path(), reason))
+        }
+    }
+}
+
+/// Calls `each` with all lists in the order of time, and `report` with lists that were read, and all. Returns how many have no
+/// companion although their agent has some.
+///
+/// # Errors
+/// A file that cannot be read; boxes in another frame than their agent's body; why `each` failed.
+pub fn each_list(
+    source: &Source,
+    agents: &Agents,
+    options: &Options,
+    report: Report,
+    each: impl FnMut(List) -> Result<(), ExportError>,
+) -> Result<u64, ExportError> {
+    match source {
+        Source::Log(log) => each_of_log(log, agents, options, report, each),
+        Source::Recording(file) => each_of_recording(file, agents, options, report, each),
+    }
+}
+
+/// By the log's own reader, which checks frames and joins tracks as for a run.
+fn each_of_log(
+    log: &Log,
+    agents: &Agents,
+    options: &Options,
+    report: Report,
+    mut each: impl FnMut(List) -> Result<(), ExportError>,
+) -> Result<u64, ExportError> {
+    let [of_boxes, of_info] = streams(log, options.boxes)?;
+    let all = agents.names().flat_map(|name| [(name, of_boxes), (name, of_info)]);
+    let wanted: Vec<(&str, Stream)> = all.filter(|(name, stream)| log.has(name, *stream)).collect();
+    let mut open = Waiting::of(agents.names().filter(|name| log.has(name, of_info)));
+    let all = agents.names().map(|name| log.count(name, of_boxes)).sum();
+    report(0, all);
+    let mut reader = log.read_all(&wanted)?;
+    while let Some(entry) = reader.next()? {
+        if entry.stream == of_info {
+            if let Some(mut list) = open.companion(&entry.agent, entry.stamp()) {
+                let mut found = Boxes(std::mem::take(&mut list.boxes));
+                let info = entry.info(&mut found)?;
+                list.boxes = found.0;
+                each(list.completed(agents, info.seq, info.map_from_frame))?;
+            }
+            continue;
+        }
+        let list = List {
+            agent: entry.agent.to_string(),
+            stamp: entry.stamp(),
+            ready: entry.ready(),
+            seq: open.done,
+            map_from_body: None,
+            boxes: entry.boxes()?.0,
+        };
+        if let Some(list) = open.list(list) {
+            each(list.completed(agents, u64::MAX, None))?;
+        }
+        report(open.done, all);
+    }
+    Ok(open.without())
+}
+
 /// A channel that is read: whose, and whether it has what boxes cannot say.
 type Wanted = BTreeMap<u16, (String, bool)>;
 
@@ -145,12 +229,7 @@ fn wanted(file: &McapFile, agents: &Agents, topic: &str) -> Wanted {
     channels.collect()
 }
 
-/// Calls `each` with all lists in the order of time, and `report` with lists that were read, and all. Returns how many have no
-/// companion although their agent has some.
-///
-/// # Errors
-/// A file that cannot be read; why `each` failed.
-pub fn each_list(
+fn each_of_recording(
     file: &McapFile,
     agents: &Agents,
     options: &Options,
@@ -158,19 +237,14 @@ pub fn each_list(
     mut each: impl FnMut(List) -> Result<(), ExportError>,
 ) -> Result<u64, ExportError> {
     let wanted = wanted(file, agents, options.boxes.topic());
-    let with_info: BTreeSet<&String> = wanted
-        .values()
-        .filter(|(_, is_info)| *is_info)
-        .map(|(agent, _)| agent)
-        .collect();
-    let mut waiting: BTreeMap<&str, (RawMessage, Nanos, Boxes)> = BTreeMap::new();
-    let (mut done, mut without) = (0, 0);
+    let with_info = wanted.values().filter(|(_, is_info)| *is_info);
+    let mut open = Waiting::of(with_info.map(|(agent, _)| agent.as_str()));
     let lists = wanted.iter().filter(|(_, (_, is_info))| !is_info);
     let all = lists
         .filter_map(|(id, _)| file.channels().get(id))
         .map(|channel| channel.messages)
         .sum();
-    report(done, all);
+    report(0, all);
     let mut messages = file.messages(wanted.keys().copied().collect(), 0..u64::MAX)?;
     while let Some(raw) = messages.next()? {
         let (agent, is_info) = &wanted[&raw.channel];
@@ -181,45 +255,98 @@ pub fn each_list(
             )
         };
         if *is_info {
-            let Some((first, stamp, mut found)) = waiting.remove(agent.as_str()) else {
+            let Some((mut list, of)) = open.of_any_stamp(agent) else {
                 continue;
             };
-            let (of, info) = boxes::decode_info(raw.data(), &mut found).map_err(|error| wrong(error.to_string()))?;
-            if of != stamp {
-                without += 1;
-                continue;
+            let mut found = Boxes(std::mem::take(&mut list.boxes));
+            let (stamp, info) = boxes::decode_info(raw.data(), &mut found).map_err(|error| wrong(error.to_string()))?;
+            list.boxes = found.0;
+            match stamp == of {
+                true => each(list.completed(agents, info.seq, info.map_from_frame))?,
+                false => open.without += 1,
             }
-            let seq = if info.seq == u64::MAX { done } else { info.seq };
-            each(list(agents, agent, &first, stamp, seq, info.map_from_frame, found))?;
-        } else {
-            let (stamp, found) = boxes::decode(raw.data()).map_err(|error| wrong(error.to_string()))?;
-            match with_info.contains(agent) {
-                true => without += u64::from(waiting.insert(agent, (raw, stamp, found)).is_some()),
-                false => each(list(agents, agent, &raw, stamp, done, None, found))?,
-            }
-            done += 1;
-            report(done, all);
+            continue;
         }
+        let (stamp, found) = boxes::decode(raw.data()).map_err(|error| wrong(error.to_string()))?;
+        let list = List {
+            agent: agent.clone(),
+            stamp,
+            ready: Nanos::try_from(raw.log_time).unwrap_or(Nanos::MAX),
+            seq: open.done,
+            map_from_body: None,
+            boxes: found.0,
+        };
+        if let Some(list) = open.list(list) {
+            each(list.completed(agents, u64::MAX, None))?;
+        }
+        report(open.done, all);
     }
-    Ok(without + waiting.len() as u64)
+    Ok(open.without())
 }
 
-fn list(
-    agents: &Agents,
-    agent: &str,
-    raw: &RawMessage,
-    stamp: Nanos,
-    seq: u64,
-    stated: Option<Isometry3<f64>>,
-    boxes: Boxes,
-) -> List {
-    let track = agents.0.get(agent).and_then(|agent| agent.track.as_ref());
-    List {
-        agent: agent.into(),
-        stamp,
-        ready: Nanos::try_from(raw.log_time).unwrap_or(Nanos::MAX),
-        seq,
-        map_from_body: track.map_or(stated, |track| track.at(stamp)),
-        boxes: boxes.0,
+/// Lists that wait for their companions.
+struct Waiting {
+    /// Agents that have companions.
+    with_info: BTreeSet<String>,
+    lists: BTreeMap<String, List>,
+    /// Lists that were read.
+    done: u64,
+    /// Those without a companion so far.
+    without: u64,
+}
+
+impl Waiting {
+    fn of<'a>(with_info: impl Iterator<Item = &'a str>) -> Self {
+        Waiting {
+            with_info: with_info.map(String::from).collect(),
+            lists: BTreeMap::new(),
+            done: 0,
+            without: 0,
+        }
+    }
+
+    /// Takes a list; gives it back where no companion will come.
+    fn list(&mut self, list: List) -> Option<List> {
+        self.done += 1;
+        if !self.with_info.contains(&list.agent) {
+            return Some(list);
+        }
+        let before = self.lists.insert(list.agent.clone(), list);
+        self.without += u64::from(before.is_some());
+        None
+    }
+
+    /// The list of an agent that waits, with its stamp.
+    fn of_any_stamp(&mut self, agent: &str) -> Option<(List, Nanos)> {
+        let list = self.lists.remove(agent)?;
+        let stamp = list.stamp;
+        Some((list, stamp))
+    }
+
+    /// The list that a companion of this stamp belongs to.
+    fn companion(&mut self, agent: &str, stamp: Nanos) -> Option<List> {
+        let (list, of) = self.of_any_stamp(agent)?;
+        if of != stamp {
+            self.without += 1;
+            return None;
+        }
+        Some(list)
+    }
+
+    /// How many have no companion, at the end.
+    fn without(&self) -> u64 {
+        self.without + self.lists.len() as u64
+    }
+}
+
+impl List {
+    /// With the number of its sweep and its pose; a number of `u64::MAX` is not known.
+    fn completed(self, agents: &Agents, seq: u64, stated: Option<Isometry3<f64>>) -> Self {
+        let track = agents.0.get(&self.agent).and_then(|agent| agent.track.as_ref());
+        List {
+            seq: if seq == u64::MAX { self.seq } else { seq },
+            map_from_body: track.map_or(stated, |track| track.at(self.stamp)),
+            ..self
+        }
     }
 }

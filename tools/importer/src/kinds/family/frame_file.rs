@@ -82,6 +82,11 @@ impl FrameFile {
         self.document.get(key).is_some()
     }
 
+    /// The first of some keys that it has.
+    pub fn key_of(&self, keys: &[&'static str]) -> Option<&'static str> {
+        keys.iter().copied().find(|key| self.has(key))
+    }
+
     /// Its first keys, for messages.
     pub fn keys(&self) -> String {
         let keys: Vec<String> = self

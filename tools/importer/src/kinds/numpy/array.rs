@@ -136,6 +136,15 @@ impl Array {
         items(&rest[length..], item, is_big, is_fortran, shape)
     }
 
+    /// Its shape and type, in words.
+    pub fn words(&self) -> String {
+        let kind = match &self.items {
+            Items::Numbers(_, kind) => *kind,
+            Items::Texts(_) => "texts",
+        };
+        format!("the shape {:?} of {kind}", self.shape)
+    }
+
     /// Rows of a matrix with at least so many columns; a vector is no matrix.
     ///
     /// # Errors
@@ -144,11 +153,16 @@ impl Array {
         let (numbers, _) = self.numbers()?;
         match self.shape[..] {
             [_, width] if columns.contains(&width) => Ok(numbers.chunks_exact(width.max(1))),
+            _ if columns.start() == columns.end() => Err(format!(
+                "expected a matrix of {} columns, found {}",
+                columns.start(),
+                self.words()
+            )),
             _ => Err(format!(
-                "expected a matrix of {} to {} columns, found the shape {:?}",
+                "expected a matrix of {} to {} columns, found {}",
                 columns.start(),
                 columns.end(),
-                self.shape
+                self.words()
             )),
         }
     }
@@ -160,24 +174,24 @@ impl Array {
     pub fn numbers(&self) -> Result<(&[f64], &'static str), String> {
         match &self.items {
             Items::Numbers(numbers, kind) => Ok((numbers, kind)),
-            Items::Texts(_) => Err("expected numbers, found texts".into()),
+            Items::Texts(_) => Err(format!("expected numbers, found {}", self.words())),
         }
     }
 }
 
 /// Type, byte order, order of axes and shape, as the head of an array says them: a dictionary of Python.
 fn head_of(head: &str) -> Result<(Item, bool, bool, Vec<usize>), String> {
-    let wrong = |key: &str| {
+    let wrong = |what: &str| {
         format!(
-            "expected `{key}` in the head of the array, found `{}`",
+            "expected a head that says {what} of the array, found `{}`; the file is damaged: save it anew by numpy.save",
             shown(head.trim())
         )
     };
-    let value = |key: &str| {
-        let (_, rest) = head.split_once(&format!("'{key}':")).ok_or_else(|| wrong(key))?;
+    let value = |key: &str, what: &str| {
+        let (_, rest) = head.split_once(&format!("'{key}':")).ok_or_else(|| wrong(what))?;
         Ok::<&str, String>(rest.trim_start())
     };
-    let descr = value("descr")?;
+    let descr = value("descr", "the type")?;
     let descr = descr
         .strip_prefix('\'')
         .and_then(|rest| rest.split_once('\''))
@@ -199,17 +213,38 @@ fn head_of(head: &str) -> Result<(Item, bool, bool, Vec<usize>), String> {
         }
         _ => {
             return Err(format!(
-                "expected numbers or texts, found items of the type `{}`",
-                shown(descr)
+                "expected numbers or texts, found items of the type `{}`{}; save them as numbers by array.astype(numpy.float32)",
+                shown(descr),
+                in_words(name)
             ));
         }
     };
-    let is_fortran = value("fortran_order")?.starts_with("True");
-    let shape = value("shape")?.strip_prefix('(').and_then(|rest| rest.split_once(')'));
-    let shape = shape.ok_or_else(|| wrong("shape"))?.0;
+    let is_fortran = value("fortran_order", "the order")?.starts_with("True");
+    let shape = value("shape", SHAPE)?
+        .strip_prefix('(')
+        .and_then(|rest| rest.split_once(')'));
+    let shape = shape.ok_or_else(|| wrong(SHAPE))?.0;
     let axes = shape.split(',').map(str::trim).filter(|axis| !axis.is_empty());
-    let axes: Result<Vec<usize>, String> = axes.map(|axis| axis.parse().map_err(|_| wrong("shape"))).collect();
+    let axes: Result<Vec<usize>, String> = axes.map(|axis| axis.parse().map_err(|_| wrong(SHAPE))).collect();
     Ok((item, order == ">", is_fortran, axes?))
+}
+
+/// What a head says of an array's axes.
+const SHAPE: &str = "the shape";
+
+/// The type of numpy that is not read, as its users call it.
+fn in_words(name: &str) -> String {
+    let known = match name {
+        "f2" => "float16",
+        "f16" => "longdouble",
+        "c8" => "complex64",
+        "c16" => "complex128",
+        _ if name.starts_with('M') => "dates",
+        _ if name.starts_with('m') => "times",
+        _ if name.starts_with('V') => "raw bytes",
+        _ => return String::new(),
+    };
+    format!(" ({known})")
 }
 
 fn items(bytes: &[u8], item: Item, is_big: bool, is_fortran: bool, shape: Vec<usize>) -> Result<Array, String> {
@@ -281,7 +316,9 @@ fn in_order(numbers: Vec<f64>, is_fortran: bool, shape: &[usize]) -> Result<Vec<
             let at = |place: usize| numbers[place % columns * rows + place / columns];
             Ok((0..numbers.len()).map(at).collect())
         }
-        (true, _) => Err("expected the order of C, found that of Fortran; save numpy.ascontiguousarray(…)".into()),
+        (true, axes) => Err(format!(
+            "expected numbers that lie row by row, found the shape {axes:?} column by column; save numpy.ascontiguousarray(array)"
+        )),
     }
 }
 
@@ -407,7 +444,19 @@ mod tests {
                 ),
                 "named fields",
             ),
-            (npy("{}", &[]), "expected `descr`"),
+            (
+                npy("{}", &[]),
+                "expected a head that says the type of the array, found `{}`; the file is damaged: save it anew by numpy.save",
+            ),
+            (
+                npy(&head("<f2", "False", "1,"), &[0; 2]),
+                "items of the type `<f2` (float16); save them as numbers by array.astype(numpy.float32)",
+            ),
+            (npy(&head("<M8[ns]", "False", "1,"), &[0; 8]), "(dates)"),
+            (
+                npy(&head("<f4", "True", "1, 1, 1"), &[0; 4]),
+                "found the shape [1, 1, 1] column by column; save numpy.ascontiguousarray(array)",
+            ),
             (MAGIC.to_vec(), "found less"),
             ([MAGIC, &[9, 0, 0, 0]].concat(), "version 1 to 3, found 9"),
         ] {

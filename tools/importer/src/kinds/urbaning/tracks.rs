@@ -60,6 +60,9 @@ pub struct TracksFile {
     tracks: OnceLock<Tracks>,
 }
 
+/// No heading is larger, rad: headings of a track may go on over a turn.
+const MOST_TURN: f64 = 2.0 * std::f64::consts::TAU;
+
 impl TracksFile {
     /// Of a path at which the file need not be.
     pub fn new(path: &Path) -> Self {
@@ -135,6 +138,12 @@ fn track(file: FileTrack) -> Result<Track, String> {
         if !((0.0..4e9).contains(time) && yaw.is_finite()) {
             return Err(format!(
                 "track `{}`: expected times in s since 1970 and finite orientations, found {time} and {yaw}",
+                crate::shown(&id)
+            ));
+        }
+        if yaw.abs() > MOST_TURN {
+            return Err(format!(
+                "track `{}`: expected orientations in rad within ±4π, found {yaw}; degrees must be turned to radians",
                 crate::shown(&id)
             ));
         }
