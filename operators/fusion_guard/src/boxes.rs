@@ -11,7 +11,7 @@ use crate::objects::{Object, objects, surest};
 use crate::record::Record;
 use crate::search::{Found, Reach, search};
 use crate::shift::{Shift, variance_at};
-use crate::verdict::{Reason, Shares, weigh_pose, weigh_trust};
+use crate::verdict::{Apart, Reason, Shares, weigh_pose, weigh_scatter, weigh_trust};
 use crate::view::{Seen, View};
 
 /// What a guard assumes, and how much it looks at.
@@ -140,11 +140,17 @@ pub fn judge(
     };
     let pairs = Scene::new(ego.objects, &theirs).pairs(&shift)?;
     let seen = sort(&theirs, ego, &shift, &pairs, origin.age_s);
-    let shares = Shares::of(&theirs, &seen).with_impossible(said.impossible);
+    let mut shares = Shares::of(&theirs, &seen).with_impossible(said.impossible);
+    if is_found {
+        // Pairs of a wrong pose are chance.
+        shares.apart = apart(ego.objects, &theirs, &shift, &pairs, limits.noise.place_m);
+    }
     let mut after = record.clone();
     after.observe(shares.confirmed(), shares.contradicted);
+    after.observe_apart(&shares.apart);
     let pose_m = record.pose_error_m(origin.stated_m);
-    let reason = shares.reason(is_found, after.trust(), pose_m);
+    let scatter = after.scatter();
+    let reason = shares.reason(is_found, after.trust(), scatter, pose_m);
     let mut judgement = Judgement {
         reason,
         shift,
@@ -162,7 +168,7 @@ pub fn judge(
     };
     judgement.excess = (boxes.len() - theirs.len()) as u64 - judgement.implausible;
     let unseen = weigh_trust(after.trust()) * if is_found { 1.0 } else { weigh_pose(pose_m) };
-    judgement.keep(boxes, theirs, &seen, &found.fit, unseen);
+    judgement.keep(boxes, theirs, &seen, &found.fit, [weigh_scatter(scatter), unseen]);
     Ok(judgement)
 }
 
@@ -206,6 +212,22 @@ fn place(theirs: &[Object], ego: &Ego, origin: &Origin, limits: &Limits) -> Resu
     Ok((found, is_found))
 }
 
+/// How far pairs are apart after a motion.
+fn apart(own: &[Object], theirs: &[Object], shift: &Shift, pairs: &[(usize, usize)], place_m: f64) -> Apart {
+    let mut apart = Apart::default();
+    for (mine, other) in pairs.iter().map(|(mine, other)| (&own[*mine], &theirs[*other])) {
+        if !(mine.is_long() && other.is_long()) {
+            continue;
+        }
+        let away = mine.center - shift.place(&other.center);
+        let (sin, cos) = libm::sincos(mine.yaw);
+        let across = cos * away.y - sin * away.x;
+        apart.far += f64::from(u8::from(across.abs() > place_m));
+        apart.pairs += 1.0;
+    }
+    apart
+}
+
 /// What the ego knows of each of their objects.
 fn sort(theirs: &[Object], ego: &Ego, shift: &Shift, pairs: &[(usize, usize)], age_s: f64) -> Vec<Known> {
     let mut is_paired = vec![false; theirs.len()];
@@ -233,8 +255,8 @@ fn sort(theirs: &[Object], ego: &Ego, shift: &Shift, pairs: &[(usize, usize)], a
 }
 
 impl Judgement {
-    /// Keeps what the ego does not contradict; what it cannot confirm has less of a score.
-    fn keep(&mut self, boxes: &[Box3], theirs: Vec<Object>, seen: &[Known], fit: &Fit, unseen: f64) {
+    /// Keeps what the ego does not contradict, with `weights` of all, and of what it cannot confirm.
+    fn keep(&mut self, boxes: &[Box3], theirs: Vec<Object>, seen: &[Known], fit: &Fit, [all, unconfirmed]: [f64; 2]) {
         let mut list = Vec::new();
         let is_moved = self.covariance.is_some() && fit.shift != Shift::none(fit.shift.pivot);
         for (mut object, known) in theirs.into_iter().zip(seen) {
@@ -244,7 +266,7 @@ impl Judgement {
                 continue;
             }
             let at = self.shift.place(&object.center);
-            let mut weight = if *known == Known::Paired { 1.0 } else { unseen };
+            let mut weight = all * if *known == Known::Paired { 1.0 } else { unconfirmed };
             if is_moved {
                 weight *= weigh_pose(variance_at(&fit.covariance, &fit.shift.pivot, &at).sqrt());
             }

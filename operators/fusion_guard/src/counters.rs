@@ -40,6 +40,12 @@ pub(crate) const DISTRUSTED_MESSAGES: Counter = Counter::loss(
     "messages were left out by {node}, because their agent has said too often what the ego sees not to be so",
     "look at the agent's pose, clock and detections; `--set {node}.memory_s=…` forgets sooner",
 );
+pub(crate) const SCATTERED_MESSAGES: Counter = Counter::loss(
+    "scattered_messages",
+    "messages left out: their agent's boxes lie around the ego's, farther than two detectors differ (`place_noise_m`)",
+    "messages were left out by {node}, because their agent's boxes lie around the ego's own, farther than two detectors differ",
+    "look at the agent's detector; `--set {node}.place_noise_m=…` allows for more",
+);
 pub(crate) const IMPLAUSIBLE_BOXES: Counter = Counter::loss(
     "implausible_boxes",
     "boxes dropped: no object can have such numbers",

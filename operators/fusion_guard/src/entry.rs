@@ -187,7 +187,7 @@ impl Guarded {
 
     /// Whether more objects may say where its agent is.
     pub fn is_open(&self) -> bool {
-        let has_lied = |judgement: &Judgement| judgement.reason == Some(Reason::Distrusted);
+        let has_lied = |judgement: &Judgement| matches!(judgement.reason, Some(Reason::Distrusted | Reason::Scattered));
         self.judgement
             .as_ref()
             .is_some_and(|judgement| judgement.covariance.is_none() && !has_lied(judgement))
@@ -210,6 +210,7 @@ impl Guarded {
     pub fn remember(&self, record: &mut Record) {
         let Some(judgement) = &self.judgement else { return };
         record.observe(judgement.shares.confirmed(), judgement.shares.contradicted);
+        record.observe_apart(&judgement.shares.apart);
         if judgement.covariance.is_some() {
             record.observe_pose(judgement.shift.metres());
         }

@@ -15,7 +15,7 @@ use crate::map_boxes::{MapContent, MapDetector};
 use crate::record::Record;
 use crate::search::Reach;
 use crate::sight::Sight;
-use crate::verdict::Reason;
+use crate::verdict::{Apart, Reason};
 
 /// Objects of the ego and of others by which an agent is placed.
 const KNOWN: usize = 512;
@@ -78,6 +78,7 @@ pub struct Settings {
     CONTRADICTED_MESSAGES,
     UNCONFIRMED_MESSAGES,
     DISTRUSTED_MESSAGES,
+    SCATTERED_MESSAGES,
     IMPLAUSIBLE_BOXES,
     EXCESS_BOXES,
     WRONG_COVARIANCES,
@@ -292,13 +293,20 @@ fn settle(one: Guarded, ego: &Header, out: &mut Outputs<Output>) -> Option<Messa
         (Reason::Contradicted, &CONTRADICTED_MESSAGES),
         (Reason::Unconfirmed, &UNCONFIRMED_MESSAGES),
         (Reason::Distrusted, &DISTRUSTED_MESSAGES),
+        (Reason::Scattered, &SCATTERED_MESSAGES),
     ];
     for (reason, counter) in of {
         let is_this = judgement.reason == Some(reason);
         out.count_of(counter, &agent, u64::from(is_this), 1);
         if is_this {
             let [checked, free] = judgement.shares.checked;
+            let Apart { far, pairs } = judgement.shares.apart;
             out.found(counter, &agent, || {
+                if reason == Reason::Scattered {
+                    return format!(
+                        "the first: {far} of {pairs} boxes that both see are more than `place_noise_m` beside the ego's"
+                    );
+                }
                 let seen = format!(
                     "of {checked} boxes or cells that the ego sees the place of, {free} are where nothing stands"
                 );

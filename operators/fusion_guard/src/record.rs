@@ -2,6 +2,8 @@
 
 use realo_schemas::{Nanos, to_seconds};
 
+use crate::verdict::Apart;
+
 /// What was confirmed before anything was, so that a newcomer is believed and a few mistakes do not condemn it.
 const WELCOME: f64 = 2.0;
 /// What contradicts the ego weighs more than what is confirmed: an honest detector errs seldom.
@@ -10,6 +12,8 @@ const HARM: f64 = 6.0;
 const FORGIVEN: f64 = 1.0;
 /// Most that a record holds, so that no long good conduct pays for a lie.
 const BOUND: f64 = 40.0;
+/// Pairs that a newcomer is credited with: those of them that are far apart, and all.
+const NEWCOMER: [f64; 2] = [1.5, 6.0];
 /// Standard deviation of a pose of which nothing is known, m, and for how many corrections that counts.
 const POSE_M: f64 = 0.5;
 const POSES: f64 = 1.0;
@@ -19,6 +23,8 @@ const POSES: f64 = 1.0;
 pub struct Record {
     confirmed: f64,
     contradicted: f64,
+    /// How far its boxes were from the ego's.
+    apart: Apart,
     /// Sum of squared corrections, m², and their number.
     corrected: f64,
     poses: f64,
@@ -39,6 +45,8 @@ impl Record {
         for what in [
             &mut self.confirmed,
             &mut self.contradicted,
+            &mut self.apart.far,
+            &mut self.apart.pairs,
             &mut self.corrected,
             &mut self.poses,
             &mut self.clocks,
@@ -56,6 +64,22 @@ impl Record {
             self.confirmed *= BOUND / all;
             self.contradicted *= BOUND / all;
         }
+    }
+
+    /// Takes how far its boxes are from the ego's.
+    pub fn observe_apart(&mut self, apart: &Apart) {
+        self.apart.far += apart.far;
+        self.apart.pairs += apart.pairs;
+        if self.apart.pairs > BOUND {
+            self.apart.far *= BOUND / self.apart.pairs;
+            self.apart.pairs = BOUND;
+        }
+    }
+
+    /// Share of its boxes that are far from the ego's.
+    pub fn scatter(&self) -> f64 {
+        let [far, pairs] = NEWCOMER;
+        (self.apart.far + far) / (self.apart.pairs + pairs)
     }
 
     /// Takes how far a pose had to be corrected, m.

@@ -218,6 +218,46 @@ fn ghosts_where_nothing_stands_condemn_their_sender_and_nobody_else() {
     assert_eq!(out.counted("distrusted_messages"), 0);
 }
 
+/// Boxes that lie to and fro across where they head, m.
+fn scattered(boxes: &[Box3], metres: f64, message: usize) -> Vec<Box3> {
+    let mut boxes = boxes.to_vec();
+    for (place, object) in boxes.iter_mut().enumerate() {
+        let by = if (place + message).is_multiple_of(2) {
+            metres
+        } else {
+            -metres
+        };
+        let (sin, cos) = libm::sincos(object.yaw);
+        object.center[0] -= by * sin;
+        object.center[1] += by * cos;
+    }
+    boxes
+}
+
+#[test]
+fn an_agent_whose_boxes_scatter_counts_less_and_then_not_at_all() {
+    let said = |metres: f64, message: usize| {
+        let boxes = scattered(&seen_from(at(SENDER), &town()), metres, message);
+        entry("cav2", Some(at(SENDER)), boxes)
+    };
+    let own = || seen_from(at(EGO), &town());
+    let (mut honest, mut blurred) = (new(), new());
+    let (mut scores, mut left_out) = (Vec::new(), 0);
+    for message in 0..8 {
+        let good = said(0.2, message);
+        let (kept, out) = guard(&mut honest, own(), None, vec![good.clone()]);
+        assert_eq!((kept, out.counted("scattered_messages")), (vec![good], 0));
+        let (kept, out) = guard(&mut blurred, own(), None, vec![said(0.6, message)]);
+        left_out += out.counted("scattered_messages");
+        scores.extend(
+            kept.into_iter()
+                .map(|one| one.into_parts::<Boxes>().unwrap().1.0[0].score),
+        );
+    }
+    assert!(left_out >= 4, "{left_out}");
+    assert!(scores.windows(2).all(|pair| pair[1] < pair[0]), "{scores:?}");
+}
+
 #[test]
 fn few_ghosts_are_dropped_one_by_one() {
     let own = seen_from(at(EGO), &town());
