@@ -9,9 +9,9 @@ use crate::Stream;
 /// Messages of a stream may overtake each other by less, ns.
 const OVERTAKES: Nanos = 1_000_000_000;
 
-/// The newest stamp of each stream of each agent.
+/// The newest and the last stamp of each stream of each agent.
 #[derive(Debug, Default)]
-pub(crate) struct Repeats(BTreeMap<(Stream, usize), Nanos>);
+pub(crate) struct Repeats(BTreeMap<(Stream, usize), [Nanos; 2]>);
 
 impl Repeats {
     /// Notes a message; messages come in order of log time.
@@ -23,12 +23,12 @@ impl Repeats {
         if stream.is_motion() {
             return Ok(());
         }
-        let newest = match self.0.get_mut(&(stream, agent)) {
+        let [newest, last] = match self.0.get_mut(&(stream, agent)) {
             None => {
-                self.0.insert((stream, agent), stamp);
+                self.0.insert((stream, agent), [stamp; 2]);
                 return Ok(());
             }
-            Some(newest) => newest,
+            Some(known) => known,
         };
         let back = *newest - stamp;
         if stream != Stream::Packets && back > OVERTAKES {
@@ -38,13 +38,14 @@ impl Repeats {
                 to_seconds(back)
             ));
         }
-        if back == 0 && !may_repeat(stream) {
+        // After a step of the clock backwards a stamp may come once more, but not twice in a row.
+        if stamp == *last && !may_repeat(stream) {
             return Err(format!(
                 "its stamp, {stamp} ns, is that of the message before: the message is there twice, as where two recorders or two \
                  players ran; write each message once, with the stamp of its own sweep"
             ));
         }
-        *newest = stamp.max(*newest);
+        (*newest, *last) = (stamp.max(*newest), stamp);
         Ok(())
     }
 }
@@ -81,6 +82,12 @@ mod tests {
         assert_eq!(noted(Stream::Packets, &[5 * S, 5 * S, 3 * S]), Ok(()));
         assert_eq!(noted(Stream::Imu, &[5 * S, 5 * S, 3 * S]), Ok(()));
         assert_eq!(noted(Stream::Points, &[5 * S, 6 * S, 5 * S + 1]), Ok(()));
+        let step = [48, 49, 40, 41, 42, 43, 44, 45, 46, 47, 48, 49, 50].map(|tenth| tenth * S / 10);
+        assert_eq!(
+            noted(Stream::GroundTruth, &step),
+            Ok(()),
+            "a clock that is set back by a second"
+        );
         let mut two = Repeats::default();
         assert_eq!(two.note((Stream::Points, 1), 9 * S), Ok(()));
         assert_eq!(two.note((Stream::Points, 2), 2 * S), Ok(()));

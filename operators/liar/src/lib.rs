@@ -3,6 +3,8 @@
 //! It stands between what an agent detects and its sender, so that what it makes is signed, in order and in time. Nothing in a vehicle
 //! needs it.
 
+use std::collections::BTreeMap;
+
 use nalgebra::Vector2;
 use realo_operator::{Counter, Describe, Draws, Error, Inputs, Operator, Outputs, Settings, StreamKey};
 use realo_schemas::{Box3, Boxes, FeatureMap, Header, Kind, Message, Payload, PointCloud, from_seconds};
@@ -39,14 +41,21 @@ pub struct Settings {
     pub seed: u64,
 }
 
+const ABSENT_LIARS: Counter = Counter::loss(
+    "absent_liars",
+    "names in `agents` of whom no message came",
+    "names stand in `agents` of {node} of whom no message came: nobody lied in their names",
+    "`--set {node}.agents=…` with the names of others than the ego; `realo info LOG` lists them",
+);
 const FALSIFIED_MESSAGES: Counter = Counter::plain("falsified_messages", "messages that say what is not so");
 
 /// Says what is not so in the name of some agents.
 #[derive(Describe)]
-#[stage(counters(FALSIFIED_MESSAGES))]
+#[stage(counters(FALSIFIED_MESSAGES, ABSENT_LIARS))]
 pub struct Liar {
     settings: Settings,
-    agents: Vec<String>,
+    /// Who lies, and whether a message of it came.
+    agents: BTreeMap<String, bool>,
     key: StreamKey,
 }
 
@@ -68,13 +77,19 @@ pub enum Output {
 
 impl Operator for Liar {
     fn build(settings: Settings) -> Result<Self, Error> {
-        let agents = settings
-            .agents
-            .split(',')
-            .map(str::trim)
-            .filter(|name| !name.is_empty());
+        let names = settings.agents.split(',').map(str::trim);
+        let agents: BTreeMap<String, bool> = names
+            .filter(|name| !name.is_empty())
+            .map(|name| (name.to_string(), false))
+            .collect();
+        if let (true, Some(lie)) = (agents.is_empty(), settings.lie()) {
+            return Err(format!(
+                "`agents`: expected the names of those who lie, as `{lie}` is set, found none; `realo info LOG` lists agents"
+            )
+            .into());
+        }
         Ok(Liar {
-            agents: agents.map(str::to_string).collect(),
+            agents,
             key: StreamKey::new(settings.seed, "liar"),
             settings,
         })
@@ -82,12 +97,35 @@ impl Operator for Liar {
 
     fn on_input(&mut self, input: Input, out: &mut Outputs<Output>) -> Result<(), Error> {
         let Input::Messages(mut message) = input;
-        if self.agents.iter().any(|name| **name == *message.header.agent) {
+        if let Some(came) = self.agents.get_mut(&*message.header.agent) {
+            *came = true;
             out.count(&FALSIFIED_MESSAGES, &message.header.agent, 1);
             self.falsify(&mut message)?;
         }
         out.send(Output::Messages(message));
         Ok(())
+    }
+
+    fn on_end(&mut self, out: &mut Outputs<Output>) -> Result<(), Error> {
+        for (name, _) in self.agents.iter().filter(|(_, came)| !**came) {
+            out.count(&ABSENT_LIARS, name, 1);
+        }
+        Ok(())
+    }
+}
+
+impl Settings {
+    /// The first setting that makes a lie, if one does.
+    fn lie(&self) -> Option<&'static str> {
+        let lies = [
+            ("shift_m", self.shift_m > 0.0),
+            ("scatter_m", self.scatter_m > 0.0),
+            ("ghosts", self.ghosts > 0),
+            ("score", self.score.is_some()),
+            ("feature_noise", self.feature_noise > 0.0),
+            ("clock_ms", self.clock_ms != 0),
+        ];
+        lies.into_iter().find(|(_, is_set)| *is_set).map(|(name, _)| name)
     }
 }
 
@@ -227,6 +265,25 @@ mod tests {
             boxes(settings, "rsu1"),
             "lies are drawn by name"
         );
+    }
+
+    #[test]
+    fn a_lie_without_a_liar_is_refused_and_one_of_whom_nothing_comes_is_named() {
+        let lie = |agents: &str| Settings {
+            agents: agents.into(),
+            ghosts: 3,
+            ..Settings::default()
+        };
+        let error = Liar::new(lie(" ,")).err().expect("nobody lies").to_string();
+        assert!(error.contains("`agents`") && error.contains("`ghosts`"), "{error}");
+        assert!(Liar::new(Settings::default()).is_ok(), "nobody lies");
+        let mut liar = Liar::new(lie("cav2,cav7")).unwrap();
+        let mut out = Outputs::at(0);
+        let header = Header::origin(&"run".into(), &"cav2".into(), Kind::Boxes, 3, 100, 100);
+        liar.on_message(Input::MESSAGES, Message::new(header, Boxes(vec![])), &mut out)
+            .unwrap();
+        liar.on_end(&mut out).unwrap();
+        assert_eq!((out.counted("falsified_messages"), out.counted("absent_liars")), (1, 1));
     }
 
     #[test]
