@@ -28,6 +28,29 @@ fn info(map: &Path) -> Value {
     serde_json::from_str(&realo_ok(["map", "info", "--json", &shown(map)])).unwrap()
 }
 
+#[test]
+fn a_map_is_drawn_from_above() {
+    let home = folder("maps_drawn");
+    let map = home.join("town.map");
+    build(&map, &[]);
+    let picture = home.join("town.svg");
+    let said = realo_ok(["render".into(), map.clone(), "-o".into(), picture.clone()]);
+    assert!(said.contains("town.map") && said.contains("voxels of 1 m"), "{said}");
+    let svg = std::fs::read_to_string(&picture).expect("it is there");
+    roxmltree::Document::parse(&svg).expect("it is XML");
+    assert!(svg.contains("#56b4e9") && !svg.contains("NaN"));
+    let error = refused(&[
+        "render",
+        &shown(&map),
+        "--frame",
+        "3",
+        "-o",
+        &shown(&picture),
+        "--force",
+    ]);
+    assert!(error.contains("has no frame"), "{error}");
+}
+
 /// What a command says on standard error, which must fail.
 fn refused(args: &[&str]) -> String {
     let output = realo(args);

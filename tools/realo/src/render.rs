@@ -1,20 +1,23 @@
 //! `realo render`: a frame of a run from above.
 
 use std::collections::BTreeSet;
-use std::path::PathBuf;
+use std::fs::File;
+use std::io::Read;
+use std::path::{Path, PathBuf};
 
-use eyre::Result;
+use eyre::{Result, bail};
 use realo_cli::{Force, Outcome, Output, Progress};
-use realo_render::{Format, Request, Scene};
+use realo_registration::{MAGIC, VoxelMap};
+use realo_render::{Format, Request, Scene, Town};
 
 use crate::compare::names;
 use crate::demo;
 
 /// Draws a frame of a run from above: truth, boxes, each agent's points, and what only cooperation saw. Of several runs it
-/// draws the same frame side by side
+/// draws the same frame side by side; of a map of `realo map build` what stands where
 #[derive(clap::Args)]
 pub struct Args {
-    /// Folders that `realo run` wrote: of a graph, or of a log and an ego in it
+    /// Folders that `realo run` wrote: of a graph, or of a log and an ego in it; or a map
     #[arg(required = true)]
     runs: Vec<PathBuf>,
     /// Number of the ego's sweep [default: the scored one where cooperation added most]
@@ -41,6 +44,9 @@ pub fn main(args: &Args) -> Result<Outcome> {
         Format::Png => Output::PNG,
     };
     args.force.check(&args.output, kind)?;
+    if let Some(map) = args.runs.iter().find(|path| is_map(path)) {
+        return town(args, map);
+    }
     let request = Request {
         run: PathBuf::new(),
         frame: args.frame,
@@ -73,6 +79,42 @@ pub fn main(args: &Args) -> Result<Outcome> {
         }
         println!("{}: {}", args.output.display(), in_words(scene));
     }
+    Ok(Outcome::Complete)
+}
+
+fn is_map(path: &Path) -> bool {
+    let mut head = [0; MAGIC.len()];
+    let opened = File::open(path).and_then(|mut file| file.read_exact(&mut head));
+    opened.is_ok() && head == *MAGIC
+}
+
+/// Writes the picture of a map.
+fn town(args: &Args, path: &Path) -> Result<Outcome> {
+    let is_chosen = args.frame.is_some() || args.ego.is_some() || args.log.is_some();
+    if args.runs.len() > 1 || is_chosen {
+        bail!(
+            "{}: a map is drawn alone, and has no frame, ego or log: give the map and --output, and draw runs by another call",
+            path.display()
+        );
+    }
+    let map = VoxelMap::open(path)?;
+    let info = map.info();
+    let mut town = Town {
+        title: path.file_name().unwrap_or_default().to_string_lossy().into_owned(),
+        about: format!(
+            "{} voxels of {} m of what stands still, frame {}, x to the right",
+            map.len(),
+            info.voxel_m,
+            info.frame
+        ),
+        cell_m: info.voxel_m,
+        ..Town::default()
+    };
+    for voxel in map.voxels() {
+        town.add([voxel.cell[0], voxel.cell[1]], voxel.mean.z);
+    }
+    realo_render::write(&args.output, &town.draw())?;
+    println!("{}: {}, {}", args.output.display(), town.title, town.about);
     Ok(Outcome::Complete)
 }
 

@@ -3,6 +3,7 @@
 //!
 //! - [`choose`] finds a frame in the folder of a run, [`choose_all`] the same one in those of several; [`Scene::of`] gathers
 //!   what is to be seen of it, from the run's recording and the log that was played.
+//! - [`Town`] draws a map of what stands still.
 //! - [`Chart`] draws numbers of several runs as curves.
 //! - [`draw()`] makes a [`Drawing`] of a scene, and [`write()`] a file of a drawing: shapes ([`svg()`]) or pixels
 //!   ([`png()`]), by the file's ending; [`beside`] makes one drawing of several.
@@ -30,6 +31,7 @@ mod several;
 mod style;
 mod svg;
 mod thin;
+mod town;
 mod view;
 
 pub use beside::beside;
@@ -46,3 +48,4 @@ pub use scene::{Agent, Scene};
 pub use several::choose_all;
 pub use style::{Fill, Line, Style};
 pub use svg::{escaped, svg};
+pub use town::Town;
