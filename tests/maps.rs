@@ -97,6 +97,13 @@ fn what_cannot_be_built_or_read_is_refused_by_name() {
         said.contains("refuse to overwrite") && said.contains("notes.txt"),
         "{said}"
     );
+    let said = refused(&["map", "build", &log, &log, "-o", &map]);
+    assert!(said.contains("given twice"), "{said}");
+    let said = refused(&["map", "info", &shown(&folder)]);
+    assert!(
+        said.contains("a folder") && said.matches("a folder").count() == 1,
+        "{said}"
+    );
     let said = refused(&["map", "build", &log, "-o", &map, "--agents", "cav7"]);
     assert!(said.contains("--agents cav7"), "{said}");
     let said = refused(&["map", "build", &log, "-o", &map, "--voxel", "0"]);

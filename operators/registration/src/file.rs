@@ -260,15 +260,19 @@ impl VoxelMap {
     /// # Errors
     /// [`MapError::Read`] if the system does not let it be read; [`MapError::Unsound`] if it is anything but a whole and sound map.
     pub fn open(path: &Path) -> Result<Self, MapError> {
-        let read = |source| MapError::Read {
+        let read = |reason| MapError::Read {
             path: path.into(),
-            source,
+            reason,
         };
         let unsound = |flaw| MapError::Unsound {
             path: path.into(),
             flaw,
         };
         let file = File::open(path).map_err(read)?;
+        if file.metadata().map_err(read)?.is_dir() {
+            let what = "it is a folder; expected a map that `realo map build` wrote";
+            return Err(read(std::io::Error::new(std::io::ErrorKind::IsADirectory, what)));
+        }
         if file.metadata().map_err(read)?.len() < (HEAD + CHECKSUM) as u64 {
             // Nothing to map, and too short for a map: read it for the reason.
             let bytes = std::fs::read(path).map_err(read)?;
@@ -295,12 +299,12 @@ impl VoxelMap {
             file.sync_all()?;
             std::fs::rename(&beside, path)
         };
-        write().map_err(|source| {
+        write().map_err(|reason| {
             // It may not even be there.
             let _ = std::fs::remove_file(&beside);
             MapError::Write {
                 path: path.into(),
-                source,
+                reason,
             }
         })
     }

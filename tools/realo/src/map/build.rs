@@ -68,6 +68,7 @@ impl Poses {
 /// Builds and writes the map; of a log that was cut what is left is used, and the command ends with 3.
 pub fn main(args: &Args) -> Result<Outcome> {
     args.force.check(&args.output, MAP)?;
+    check_twice(&args.logs)?;
     unfinished::end_with_signals(&args.output);
     let mut outcome = Outcome::Complete;
     let logs: Vec<Log> = args.logs.iter().map(Log::open).collect::<Result<_, _>>()?;
@@ -111,6 +112,20 @@ pub fn main(args: &Args) -> Result<Outcome> {
     unfinished::done(&args.output);
     println!("{}", Description::of(args.output.display().to_string(), &map));
     Ok(outcome)
+}
+
+/// Refuses a log that is given twice: it would count as two drives.
+fn check_twice(logs: &[PathBuf]) -> Result<()> {
+    let known: Vec<PathBuf> = logs
+        .iter()
+        .map(|log| log.canonicalize().unwrap_or_else(|_| log.clone()))
+        .collect();
+    for (at, log) in logs.iter().enumerate() {
+        if known[..at].contains(&known[at]) {
+            bail!("{}: the log is given twice; give each drive once", log.display());
+        }
+    }
+    Ok(())
 }
 
 /// The frame in which all logs give their poses.
