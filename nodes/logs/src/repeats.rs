@@ -9,9 +9,20 @@ use crate::Stream;
 /// Messages of a stream may overtake each other by less, ns.
 const OVERTAKES: Nanos = 1_000_000_000;
 
-/// The newest and the last stamp of each stream of each agent.
+/// A clock that is set back sends a stream back once; what two recorders wrote goes back all the time.
+const SET_BACK: u64 = 2;
+
+/// What is known of each stream of each agent.
 #[derive(Debug, Default)]
-pub(crate) struct Repeats(BTreeMap<(Stream, usize), [Nanos; 2]>);
+pub(crate) struct Repeats(BTreeMap<(Stream, usize), Known>);
+
+#[derive(Debug)]
+struct Known {
+    newest: Nanos,
+    last: Nanos,
+    /// How often a stamp was before the one before.
+    back: u64,
+}
 
 impl Repeats {
     /// Notes a message; messages come in order of log time.
@@ -23,14 +34,12 @@ impl Repeats {
         if stream.is_motion() {
             return Ok(());
         }
-        let [newest, last] = match self.0.get_mut(&(stream, agent)) {
-            None => {
-                self.0.insert((stream, agent), [stamp; 2]);
-                return Ok(());
-            }
-            Some(known) => known,
+        let Some(known) = self.0.get_mut(&(stream, agent)) else {
+            let (newest, last) = (stamp, stamp);
+            self.0.insert((stream, agent), Known { newest, last, back: 0 });
+            return Ok(());
         };
-        let back = *newest - stamp;
+        let back = known.newest - stamp;
         if stream != Stream::Packets && back > OVERTAKES {
             return Err(format!(
                 "its stamp lies {:.3} s before the newest of its topic: the stamps start again here, as in a recording of a bag that \
@@ -38,14 +47,16 @@ impl Repeats {
                 to_seconds(back)
             ));
         }
-        // After a step of the clock backwards a stamp may come once more, but not twice in a row.
-        if stamp == *last && !may_repeat(stream) {
+        // After a step of the clock backwards stamps come once more, but not twice in a row.
+        let is_twice = stamp == known.last || (back == 0 && known.back > SET_BACK);
+        if is_twice && !may_repeat(stream) {
             return Err(format!(
                 "its stamp, {stamp} ns, is that of the message before: the message is there twice, as where two recorders or two \
                  players ran; write each message once, with the stamp of its own sweep"
             ));
         }
-        (*newest, *last) = (stamp.max(*newest), stamp);
+        known.back += u64::from(stamp < known.last);
+        (known.newest, known.last) = (stamp.max(known.newest), stamp);
         Ok(())
     }
 }
@@ -72,6 +83,10 @@ mod tests {
             let error = noted(stream, &[5 * S, 6 * S, 7 * S, 5 * S]).unwrap_err();
             assert!(error.contains("2.000 s before") && error.contains("loop"), "{error}");
         }
+        let bursts: Vec<Nanos> = (0..9)
+            .flat_map(|at| [at, at + 1, at, at + 1].map(|tenth| tenth * S / 5))
+            .collect();
+        assert!(noted(Stream::Points, &bursts).unwrap_err().contains("twice"));
         let error = noted(Stream::Detections, &[5 * S, 5 * S]).unwrap_err();
         assert!(error.contains("5000000000 ns") && error.contains("twice"), "{error}");
     }

@@ -56,24 +56,24 @@ pub fn yaml<T: DeserializeOwned>(text: &str) -> Result<T, String> {
     serde_yaml::from_str(text).map_err(|error| shown(&error.to_string()))
 }
 
-/// No heading is larger, rad: a turn, and what rounding adds to it.
-const MOST_TURN: f64 = std::f64::consts::TAU + 1e-3;
+/// No heading is larger, rad: a turn, one more for headings that run on over a turn, and what rounding adds.
+const MAX_TURN_RAD: f64 = 2.0 * std::f64::consts::TAU + 1e-3;
 /// What is not larger may be a heading in degrees.
-const MOST_DEGREES: f64 = 720.0;
+const MAX_DEGREES: f64 = 720.0;
 
 /// An angle that should be in radians.
 ///
 /// # Errors
-/// One beyond a turn, which was most likely written in degrees.
+/// One beyond two turns, which was most likely written in degrees.
 pub fn in_radians(angle: f64) -> Result<f64, String> {
-    if angle.abs() <= MOST_TURN {
+    if angle.abs() <= MAX_TURN_RAD {
         return Ok(angle);
     }
-    let looks = match angle.abs() <= MOST_DEGREES {
+    let looks = match angle.abs() <= MAX_DEGREES {
         true => format!(", which looks like degrees: {angle}° are {:.4} rad", angle.to_radians()),
         false => String::new(),
     };
-    Err(format!("expected radians within ±2π, found {angle}{looks}"))
+    Err(format!("expected radians within ±4π, found {angle}{looks}"))
 }
 
 /// A text as messages repeat it: its head, if it is long.
@@ -208,11 +208,11 @@ mod tests {
         let degrees = in_radians(-90.0).unwrap_err();
         assert_eq!(
             degrees,
-            "expected radians within ±2π, found -90, which looks like degrees: -90° are -1.5708 rad"
+            "expected radians within ±4π, found -90, which looks like degrees: -90° are -1.5708 rad"
         );
         for angle in [1e4, f64::NAN, f64::INFINITY] {
             let error = in_radians(angle).unwrap_err();
-            assert!(error.contains("within ±2π") && !error.contains("degrees"), "{error}");
+            assert!(error.contains("within ±4π") && !error.contains("degrees"), "{error}");
         }
     }
 

@@ -35,6 +35,8 @@ pub struct Limits {
 pub struct Ego<'a> {
     /// Its objects, and those of collaborators that it has confirmed.
     pub objects: &'a [Object],
+    /// How many of them, the first, are its own.
+    pub own: usize,
     /// What its sweep shows, where it is known.
     pub view: Option<&'a View>,
 }
@@ -142,8 +144,13 @@ pub fn judge(
     let seen = sort(&theirs, ego, &shift, &pairs, origin.age_s);
     let mut shares = Shares::of(&theirs, &seen).with_impossible(said.impossible);
     if is_found {
-        // Pairs of a wrong pose are chance.
-        shares.apart = apart(ego.objects, &theirs, &shift, &pairs, limits.noise.place_m);
+        // Pairs of a wrong pose are chance, and nobody is charged with how another one's boxes scatter.
+        let own = pairs
+            .iter()
+            .filter(|(mine, _)| *mine < ego.own)
+            .copied()
+            .collect::<Vec<_>>();
+        shares.apart = apart(ego.objects, &theirs, &shift, &own, limits.noise.place_m);
     }
     let mut after = record.clone();
     after.observe(shares.confirmed(), shares.contradicted);

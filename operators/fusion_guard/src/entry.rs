@@ -77,7 +77,7 @@ impl Entry {
         let said = boxes(payload, self.shown.as_ref()).filter(|_| ego.has_boxes);
         let judgement = match (&self.origin, payload, said) {
             (Some(origin), _, Some(said)) => {
-                let (objects, view) = (&ego.known, ego.view.as_ref());
+                let (objects, own, view) = (&ego.known, ego.own, ego.view.as_ref());
                 let is_map = matches!(payload, Payload::FeatureMap(_));
                 // What a map shows stays where it was.
                 let limits = Limits {
@@ -88,7 +88,7 @@ impl Entry {
                     boxes: said,
                     impossible: self.shown.as_ref().map_or(0, |shown| shown.impossible),
                 };
-                let mut judgement = judge(&said, &Ego { objects, view }, origin, &record, &limits)?;
+                let mut judgement = judge(&said, &Ego { objects, own, view }, origin, &record, &limits)?;
                 if let Payload::FeatureMap(map) = payload {
                     let free: Vec<&Box3> = judgement.free_indices.iter().map(|index| &said.boxes[*index]).collect();
                     judgement.kept = without_cells_of(&free, map).into();
@@ -187,10 +187,11 @@ impl Guarded {
 
     /// Whether more objects may say where its agent is.
     pub fn is_open(&self) -> bool {
-        let has_lied = |judgement: &Judgement| matches!(judgement.reason, Some(Reason::Distrusted | Reason::Scattered));
+        let is_condemned =
+            |judgement: &Judgement| matches!(judgement.reason, Some(Reason::Distrusted | Reason::Scattered));
         self.judgement
             .as_ref()
-            .is_some_and(|judgement| judgement.covariance.is_none() && !has_lied(judgement))
+            .is_some_and(|judgement| judgement.covariance.is_none() && !is_condemned(judgement))
     }
 
     /// Its boxes in the ego's frame.

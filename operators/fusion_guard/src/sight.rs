@@ -11,6 +11,8 @@ use crate::view::View;
 pub(crate) struct Sight {
     /// Its objects, and those of collaborators that it has confirmed.
     pub known: Vec<Object>,
+    /// How many of them, the first, are its own.
+    pub own: usize,
     /// Whether it has boxes at all, which may be none.
     pub has_boxes: bool,
     /// Its sweep, where it is known, what that shows, and the same for a search.
@@ -45,6 +47,7 @@ impl Sight {
         let known = said.map(|boxes| objects(boxes, &Isometry3::identity(), 0.0, max_boxes));
         Sight {
             has_boxes: known.is_some(),
+            own: known.as_ref().map_or(0, Vec::len),
             known: known.unwrap_or_default(),
             ground: view.as_ref().filter(|_| is_points).map(Ground::of_view),
             view,

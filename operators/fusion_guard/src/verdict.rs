@@ -55,7 +55,7 @@ const MISTAKES: f64 = 1.5;
 const TRUST: [f64; 2] = [0.5, 0.75];
 /// Share of an agent's boxes that are far from the ego's: up to the first its boxes count in full, from the second on they gain nobody
 /// anything. Of errors that are normal and as large as they are taken to be it is 0.32.
-const SCATTERED: [f64; 2] = [0.33, 0.5];
+const SCATTERED: [f64; 2] = [0.38, 0.55];
 /// Poses that err by more are of no use without the ego's own objects, m.
 const WRONG_POSE_M: f64 = 1.2;
 /// Standard deviation of a place at which a box is worth less: one of a car's that is off by as much is not found any more, m.
@@ -199,8 +199,8 @@ mod tests {
     fn weights_fall_with_trust_and_error() {
         assert_eq!([weigh_trust(1.0), weigh_trust(0.75)], [1.0, 1.0]);
         assert!((weigh_trust(0.5) - 0.1).abs() < 1e-12 && weigh_trust(0.0) > 0.0);
-        assert_eq!([weigh_scatter(0.0), weigh_scatter(0.3)], [1.0, 1.0]);
-        assert!((weigh_scatter(0.5) - 0.1).abs() < 1e-12 && weigh_scatter(0.4) < 0.7);
+        assert_eq!([weigh_scatter(0.0), weigh_scatter(0.35)], [1.0, 1.0]);
+        assert!((weigh_scatter(0.55) - 0.1).abs() < 1e-12 && weigh_scatter(0.5) < 0.5);
         assert_eq!(weigh_pose(0.0), 1.0);
         assert!(weigh_pose(0.2) > 0.9 && weigh_pose(1.2) < 0.2);
     }

@@ -43,8 +43,8 @@ pub struct Settings {
 
 const ABSENT_LIARS: Counter = Counter::loss(
     "absent_liars",
-    "names in `agents` of whom no message came",
-    "names stand in `agents` of {node} of whom no message came: nobody lied in their names",
+    "names in `agents` of whom no message came: the ego, or nobody",
+    "names stand in `agents` of {node} of whom no message came, so nobody lied in their names: the ego itself, or nobody",
     "`--set {node}.agents=…` with the names of others than the ego; `realo info LOG` lists them",
 );
 const FALSIFIED_MESSAGES: Counter = Counter::plain("falsified_messages", "messages that say what is not so");
@@ -54,7 +54,7 @@ const FALSIFIED_MESSAGES: Counter = Counter::plain("falsified_messages", "messag
 #[stage(counters(FALSIFIED_MESSAGES, ABSENT_LIARS))]
 pub struct Liar {
     settings: Settings,
-    /// Who lies, and whether a message of it came.
+    /// Who lies, and whether it was heard.
     agents: BTreeMap<String, bool>,
     key: StreamKey,
 }
@@ -82,7 +82,7 @@ impl Operator for Liar {
             .filter(|name| !name.is_empty())
             .map(|name| (name.to_string(), false))
             .collect();
-        if let (true, Some(lie)) = (agents.is_empty(), settings.lie()) {
+        if let (true, Some(lie)) = (agents.is_empty(), settings.first_lie()) {
             return Err(format!(
                 "`agents`: expected the names of those who lie, as `{lie}` is set, found none; `realo info LOG` lists agents"
             )
@@ -97,8 +97,8 @@ impl Operator for Liar {
 
     fn on_input(&mut self, input: Input, out: &mut Outputs<Output>) -> Result<(), Error> {
         let Input::Messages(mut message) = input;
-        if let Some(came) = self.agents.get_mut(&*message.header.agent) {
-            *came = true;
+        if let Some(was_heard) = self.agents.get_mut(&*message.header.agent) {
+            *was_heard = true;
             out.count(&FALSIFIED_MESSAGES, &message.header.agent, 1);
             self.falsify(&mut message)?;
         }
@@ -107,7 +107,7 @@ impl Operator for Liar {
     }
 
     fn on_end(&mut self, out: &mut Outputs<Output>) -> Result<(), Error> {
-        for (name, _) in self.agents.iter().filter(|(_, came)| !**came) {
+        for (name, _) in self.agents.iter().filter(|(_, was_heard)| !**was_heard) {
             out.count(&ABSENT_LIARS, name, 1);
         }
         Ok(())
@@ -116,7 +116,7 @@ impl Operator for Liar {
 
 impl Settings {
     /// The first setting that makes a lie, if one does.
-    fn lie(&self) -> Option<&'static str> {
+    fn first_lie(&self) -> Option<&'static str> {
         let lies = [
             ("shift_m", self.shift_m > 0.0),
             ("scatter_m", self.scatter_m > 0.0),

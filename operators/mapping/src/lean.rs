@@ -14,9 +14,11 @@ use crate::keyframe::Keyframe;
 
 /// Fewer loops say nothing.
 const MIN_LOOPS: usize = 3;
-/// A lean is believed from so many of its standard deviations on, and if it is not smaller than this.
+/// A lean is believed from so many of its standard deviations on, and between these slopes: what leans more is a mount that everybody sees,
+/// or loops that are wrong.
 const SURE: f64 = 3.0;
-const LEAST: f64 = 5e-4;
+const MIN_SLOPE: f64 = 5e-4;
+const MAX_SLOPE: f64 = 0.05;
 
 /// How a vehicle's sensor leans.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -78,7 +80,8 @@ pub(crate) fn lean<'a>(pieces: impl Iterator<Item = (&'a Piece, Vec<(usize, usiz
     let rest: f64 = pairs.iter().map(|(way, off)| (off - slope * way).powi(2)).sum();
     // Loops of one lap err alike: all of them say no more than one.
     let sigma = (rest / count).sqrt() / (squares / count).sqrt();
-    (slope.abs() >= LEAST.max(SURE * sigma)).then_some(Lean { slope, sigma })
+    let is_sure = slope.abs() >= MIN_SLOPE.max(SURE * sigma) && slope.abs() <= MAX_SLOPE;
+    is_sure.then_some(Lean { slope, sigma })
 }
 
 #[cfg(test)]

@@ -26,6 +26,8 @@ const TRACKED: [f64; 2] = [0.6, 0.035];
 const SWEEP_ERRORS: [f64; 2] = [0.02, 8e-4];
 /// A keyframe's points: one for each cell of this side, m.
 const SAMPLE_M: f64 = 0.3;
+/// More sweeps in a row at whose stamps nothing is known of the motion are no wrong stamps: the IMU was silent.
+const MISDATED: u32 = 3;
 /// Information of the place where it sets out, which is none but by definition.
 const ORIGIN: f64 = 1e8;
 
@@ -112,6 +114,8 @@ pub struct Odometry {
     pieces: Vec<Piece>,
     fixes: Fixes,
     counts: Counts,
+    /// Sweeps in a row at whose stamps nothing is known of the motion.
+    misdated: u32,
 }
 
 impl Odometry {
@@ -135,6 +139,7 @@ impl Odometry {
             pieces: Vec::new(),
             fixes: Fixes::default(),
             counts: Counts::default(),
+            misdated: 0,
         })
     }
 
@@ -197,13 +202,16 @@ impl Odometry {
             return Ok(Taken::Misdated);
         }
         let Some(guess) = self.estimate_at(stamp) else {
-            if self.estimator.as_ref().and_then(Estimator::estimate).is_some() {
+            let knows_motion = self.estimator.as_ref().and_then(Estimator::estimate).is_some();
+            self.misdated += 1;
+            if knows_motion && self.misdated <= MISDATED {
                 return Ok(Taken::Misdated);
             }
             self.break_off();
             self.set_out(stamp);
             return Ok(Taken::Waiting);
         };
+        self.misdated = 0;
         let still = deskewed(cloud, stamp, |at| self.estimate_at(at));
         let cloud = still.as_ref().unwrap_or(cloud);
         let mut found = self.register(cloud, &guess);

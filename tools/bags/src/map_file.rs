@@ -399,7 +399,7 @@ mod tests {
     fn angles_in_degrees_are_refused() {
         let refused = |text: String| MapFile::parse(&text).unwrap_err();
         let pose = refused(SHORT.replace("pose: tf", "pose: [5, 6, 0, 90]"));
-        let degrees = "expected radians within ±2π, found 90, which looks like degrees: 90° are 1.5708 rad";
+        let degrees = "expected radians within ±4π, found 90, which looks like degrees: 90° are 1.5708 rad";
         assert!(pose.contains("pose: yaw: ") && pose.contains(degrees), "{pose}");
         let mount = refused(format!("{SHORT}    mounts: {{lidar: [0, 0, 2, 0, 90, 0]}}\n"));
         assert!(

@@ -220,7 +220,8 @@ impl State {
         let template = match self.all {
             // Seconds of a clock pass as they do.
             Some(_) => format!(
-                "{{prefix}} [{{wide_bar}}] {{pos}}/{{len}} {}{}, {{left}} {{msg}}",
+                "{{prefix}} [{{wide_bar}}] {{pos}}/{{len}}{}{}{}, {{left}} {{msg}}",
+                if self.unit.is_empty() { "" } else { " " },
                 self.unit,
                 if self.unit == SECONDS { "" } else { ", {rate}" }
             ),

@@ -14,6 +14,8 @@ const LARGEST_CELL: f64 = 8.0;
 const EDGE: f64 = 40.0;
 const HEAD: f64 = 110.0;
 const LETTERS: f64 = 14.0;
+/// Room for the length of the bar in words, px.
+const BAR_WORDS: f64 = 60.0;
 /// What is drawn of columns by their highest point over the lowest around: up to a height, m, its colour and words.
 const HEIGHTS: [(f64, &str, &str); 4] = [
     (0.5, "#2f4254", "ground"),
@@ -100,6 +102,7 @@ impl Town {
     /// Title, what colours mean, and a bar of a length that is said.
     fn words(&self, drawing: &mut Drawing, cell: f64) {
         let fonts = Fonts::new();
+        let width = drawing.size[0];
         let mut text = |text: &str, at: Px, size: f64, weight: Weight, color: &'static str| {
             let path = fonts.outline(text, at, size, weight);
             drawing.mark("text", path, style::filled(color));
@@ -113,10 +116,13 @@ impl Town {
             let color = if height == HEIGHTS[0].0 { style::MUTED } else { color };
             x = 26.0 + text(words, [x, 86.0], LETTERS, Weight::Bold, color);
         }
-        // The longest of round lengths that fits a quarter of the map.
-        let most = LONG / 4.0 / cell * self.cell_m;
-        let lengths = [500.0, 200.0, 100.0, 50.0, 20.0, 10.0, 5.0, 2.0, 1.0];
-        let metres = lengths.into_iter().find(|metres| *metres <= most).unwrap_or(1.0);
+        // The longest of round lengths for which there is room beside the words.
+        let room_m = (width - EDGE - x - BAR_WORDS) / cell * self.cell_m;
+        let lengths = [200.0, 100.0, 50.0, 20.0, 10.0, 5.0, 2.0, 1.0];
+        let fitting = lengths.into_iter().find(|metres| *metres <= room_m);
+        let Some(metres) = fitting.filter(|_| self.cell_m > 0.0) else {
+            return;
+        };
         let end = text(
             &format!("{} m", number(metres)),
             [x, 86.0],

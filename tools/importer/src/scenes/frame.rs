@@ -134,7 +134,7 @@ fn same_outline(files: &SweepFiles, stated: Option<[f64; 4]>, known: &Known) -> 
         .footprint
         .map_or("no outline".into(), |first| format!("{first:?}"));
     let reason = format!(
-        "footprint: expected one outline in all files of an agent, found {stated:?} here and {first} in its first files; correct it, or          remove the key from all of them"
+        "footprint: expected one outline in all files of an agent, found {stated:?} here and {first} in its first files; correct it, or remove the key from all of them"
     );
     Err(ImportError::content(&files.labels, reason))
 }

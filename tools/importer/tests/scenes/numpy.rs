@@ -251,7 +251,7 @@ fn what_an_archive_lacks_or_has_wrong_is_named() {
         (
             "boxes",
             Some(npy("<f8", "1, 7", &doubles(&[9.0, 0.0, 0.0, 4.0, 2.0, 1.5, 90.0]))),
-            "boxes: yaw in row 0: expected radians within ±2π, found 90, which looks like degrees: 90° are 1.5708 rad; if it is in degrees, \
+            "boxes: yaw in row 0: expected radians within ±4π, found 90, which looks like degrees: 90° are 1.5708 rad; if it is in degrees, \
              save numpy.deg2rad of that column",
         ),
         (

@@ -47,10 +47,14 @@ pub fn print(estimated: &Estimated) {
         );
         if let Some(lean) = of.lean {
             println!(
-                "    its sensor leans: a metre ahead looks {:.1} mm too {} (± {:.1}), by the heights of loops; sweeps are levelled",
+                "    its sensor leans: a metre ahead looks {:.1} mm too {} (± {:.1}), by the heights of loops; sweeps are levelled{}",
                 1e3 * lean.slope.abs(),
                 if lean.slope < 0.0 { "low" } else { "high" },
-                1e3 * lean.sigma
+                1e3 * lean.sigma,
+                mapped.lean.map_or(String::new(), |left| format!(
+                    ", but for {:.1} mm",
+                    1e3 * left.slope.abs()
+                ))
             );
         }
     }
@@ -185,7 +189,8 @@ fn of_sweeps(drive: &Drive) -> Vec<String> {
     }
     if counts.misdated > 0 {
         words.push(format!(
-            "{} of {} sweeps are left out, for their stamps are not after the one before, or nothing was measured then",
+            "{} of {} sweeps are left out, for their stamps are not after the one before, or the IMU said nothing then: `realo info` compares \
+             the clocks of LiDAR and IMU",
             counts.misdated, counts.sweeps
         ));
     }

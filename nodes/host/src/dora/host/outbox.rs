@@ -3,7 +3,7 @@
 use std::collections::VecDeque;
 use std::sync::{Mutex, MutexGuard};
 
-/// What is to leave, and who takes it out.
+/// A queue of messages in the order of their numbers, and the sender that takes them out.
 ///
 /// Threads number messages under one lock and send them after it, so that nobody waits for dora. Without the outbox one
 /// thread could overtake another in between, and receivers would hold dora to account for it.
@@ -26,10 +26,11 @@ impl<T, S> Outbox<T, S> {
         self.queue().extend(things);
     }
 
-    /// Sends what is there, whoever posted it. Afterwards everything that this thread had posted has left.
+    /// Sends what is there, whoever posted it. Afterwards everything that this thread had posted has left, or another thread has failed
+    /// to send it.
     ///
     /// # Errors
-    /// Those of `send`.
+    /// The first error of `send`.
     pub fn send_all<E>(&self, mut send: impl FnMut(&mut S, T) -> Result<(), E>) -> Result<(), E> {
         let mut sender = self.sender();
         while let Some(thing) = self.take() {

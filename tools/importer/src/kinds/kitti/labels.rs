@@ -48,10 +48,10 @@ fn label(index: usize, line: &str, map_from_camera: &Isometry3<f64>) -> Result<O
     let [height, width, length, x, y, z, yaw, ..] = numbers[..] else {
         return Err(format!("expected {WORDS} words, found {}", words.len()));
     };
-    let yaw = realo_documents::in_radians(yaw).map_err(|reason| format!("rotation_y: {reason}"))?;
     if [height, width, length].contains(&0.0) {
         return Ok(None);
     }
+    let yaw = realo_documents::in_radians(yaw).map_err(|reason| format!("rotation_y: {reason}"))?;
     // In the camera y is down, and the heading is about it, 0 to the right; boxes here head along x with z up.
     let up = UnitQuaternion::from_axis_angle(&Vector3::x_axis(), std::f64::consts::FRAC_PI_2);
     let turn = UnitQuaternion::from_axis_angle(&Vector3::y_axis(), yaw);
@@ -108,7 +108,7 @@ mod tests {
         let degrees = "Car 0 0 0 0 0 0 0 1.5 1.6 3.9 2.0 1.7 20.0 -90";
         assert_eq!(
             label(0, degrees, &lidar_from_camera).unwrap_err(),
-            "rotation_y: expected radians within ±2π, found -90, which looks like degrees: -90° are -1.5708 rad"
+            "rotation_y: expected radians within ±4π, found -90, which looks like degrees: -90° are -1.5708 rad"
         );
         assert!(
             label(0, "Car 0 0", &lidar_from_camera)
