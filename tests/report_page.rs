@@ -237,6 +237,13 @@ fn a_browser_opens_plays_filters_and_turns_the_page_without_an_error() {
     );
     browser.value("state.hidden = new Set(); draw()");
 
+    // After a click on an object Space plays; it does not click again.
+    browser.value("byId('added').querySelector('button').focus(); byId('added').querySelector('button').click()");
+    assert_eq!(browser.value("document.activeElement === panes[0].canvas"), true);
+    browser.press(" ");
+    assert_eq!(browser.value("state.playing"), true);
+    browser.value("play(false); seek(10)");
+
     // A flow for the run that has messages, which names what became of all, and bytes beside ages.
     let captions = "[...document.querySelectorAll('#flows figcaption')].map((one) => one.firstChild.textContent)";
     let captions: Vec<String> = serde_json::from_value(browser.value(captions)).expect("texts");

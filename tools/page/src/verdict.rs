@@ -465,8 +465,8 @@ mod tests {
             said[1..3],
             [
                 "Margin over the ego alone (none b): late b +0.100; no class became worse.",
-                "Margin over the ego alone (none a): late a -0.100; worse than the ego alone: late a on vehicle (-0.100), late a \
-                 on pedestrian (-0.100). No margin for late c: no run of the ego alone here has the same logs.",
+                "Margin over the ego alone (none a): late a -0.100; worse than the ego alone: late a on pedestrian (-0.100), late a \
+                 on vehicle (-0.100). No margin for late c: no run of the ego alone here has the same logs.",
             ]
         );
     }

@@ -39,7 +39,9 @@ function verdict() {
     ended.length && (ended.length === DOC.runs.length ? `ended by ${[...new Set(ended.map((run) => run.result.ended_by))].join(", ")} before the log was` : `${plural(ended.length, "run")} ended before the log was`)];
   byId("what").textContent = facts.filter(Boolean).join(" · ");
   const score = (run) => meanOf(run, DOC.iou) ?? -1;
-  const order = DOC.runs.map((_, at) => at).sort((a, b) => score(DOC.runs[b]) - score(DOC.runs[a]));
+  const places = DOC.runs.map((_, at) => at);
+  // A few stay as they were named, in the order of the table.
+  const order = places.length > MOST_CARDS ? places.sort((a, b) => score(DOC.runs[b]) - score(DOC.runs[a])) : places;
   byId("scoreboard").replaceChildren(...order.slice(0, MOST_CARDS).map((at) => {
     const run = DOC.runs[at];
     const interval = intervalsOf(run) && intervalsOf(run).mAP[DOC.iou];
