@@ -12,7 +12,7 @@ use std::path::{Path, PathBuf};
 use browser::Browser;
 use common::{folder, json, once, realo, realo_ok, run_virtual, simulated, text};
 use realo_logs::{Log, MAX_GAP, Stream, pose_track};
-use realo_render::clouds::in_ego_frame;
+use realo_render::clouds::{in_ego_frame, truth};
 use serde_json::Value;
 
 const LOG: &str = "report_small";
@@ -236,6 +236,13 @@ fn a_browser_opens_plays_filters_and_turns_the_page_without_an_error() {
         true
     );
     browser.value("state.hidden = new Set(); draw()");
+
+    // After a click on an object Space plays; it does not click again.
+    browser.value("byId('added').querySelector('button').focus(); byId('added').querySelector('button').click()");
+    assert_eq!(browser.value("document.activeElement === panes[0].canvas"), true);
+    browser.press(" ");
+    assert_eq!(browser.value("state.playing"), true);
+    browser.value("play(false); seek(10)");
 
     // A flow for the run that has messages, which names what became of all, and bytes beside ages.
     let captions = "[...document.querySelectorAll('#flows figcaption')].map((one) => one.firstChild.textContent)";
@@ -463,7 +470,7 @@ fn wrong_input_gets_a_clear_error() {
         &["refuse to overwrite", "mine.html", "--force"],
     );
 
-    // A run of another version, and one whose recording is damaged.
+    // A run of another version, and one whose recording is damaged or of another run.
     let other = home.join("other");
     copied(&late, &other);
     let file = other.join("result.json");
@@ -477,6 +484,243 @@ fn wrong_input_gets_a_clear_error() {
     let recording = damaged.join(format!("{LOG}/cav1/recording.mcap"));
     fs::write(&recording, "no recording").unwrap();
     said(&[&damaged], &page, &[], &["recording.mcap"]);
+    let [_, alone] = runs();
+    fs::copy(alone.join(format!("{LOG}/cav1/recording.mcap")), &recording).unwrap();
+    let words = [
+        "damaged",
+        "recording.mcap",
+        "of another run",
+        "evaluation.json",
+        "run it again",
+    ];
+    said(&[&damaged], &page, &[], &words);
+}
+
+#[test]
+fn of_many_runs_those_that_are_damaged_are_named_and_the_others_shown() {
+    let home = folder("report_partial");
+    let page = home.join("report.html");
+    let [late, alone] = runs();
+    let log = log();
+    let args = ["--log", &log.to_string_lossy()];
+    let swapped = home.join("swapped");
+    copied(&late, &swapped);
+    fs::copy(
+        alone.join(format!("{LOG}/cav1/recording.mcap")),
+        swapped.join(format!("{LOG}/cav1/recording.mcap")),
+    )
+    .expect("it can be copied");
+    let cut = home.join("cut");
+    copied(&late, &cut);
+    fs::write(cut.join("timing.json"), "{").expect("it can be written");
+    let gone = home.join("gone");
+    let (code, said) = report(&[&late, &cut, &gone, &swapped, &alone], &page, &args);
+    assert_eq!(code, Some(3), "{said}");
+    for words in [
+        "cut: not on this page",
+        "timing.json",
+        "gone: not on this page",
+        "no such folder",
+        "swapped: not in the player",
+        "of another run",
+        "3 runs, 60 sweeps in the player",
+    ] {
+        assert!(said.contains(words), "{words}: {said}");
+    }
+    let document = document(&page);
+    assert_eq!(document["runs"].as_array().map(Vec::len), Some(3));
+    assert_eq!(
+        document["left_out"].as_array().map(Vec::len),
+        Some(3),
+        "the page says it too"
+    );
+    // The scores of a run are there, its boxes are not.
+    let shown: Vec<&Value> = document["scenes"][0]["runs"].as_array().expect("runs").iter().collect();
+    assert_eq!(shown.iter().map(|run| &run["run"]).collect::<Vec<_>>(), [0, 2]);
+    fs::remove_file(&page).expect("it was written");
+    let (code, said) = report(&[&cut, &gone], &page, &args);
+    assert_eq!(code, Some(1), "{said}");
+    assert!(
+        said.contains("none of 2 runs") && said.contains("timing.json") && !page.exists(),
+        "{said}"
+    );
+}
+
+/// Runs of late fusion and of the ego alone over two logs each, and over the second log alone.
+fn runs_of_two_logs() -> [PathBuf; 2] {
+    let args = ["--seed", "912", "--seconds", "1", "--agents", "cav1,rsu1"];
+    let other = simulated("report_other_log", &args);
+    let run = |graph: &str| {
+        once(&format!("report_two_{graph}"), |_| {
+            let other = other.to_string_lossy();
+            let args = ["--recorded-detections", "--ego", "cav1", "--log", &other];
+            run_virtual(&format!("report_two_{graph}"), graph, &log(), &args);
+        })
+    };
+    [run("late_fusion"), run("no_fusion")]
+}
+
+#[test]
+fn a_damaged_part_of_a_run_over_several_logs_is_named() {
+    let home = folder("report_part");
+    let page = home.join("report.html");
+    let [late, _] = runs_of_two_logs();
+    let parts = |name: &str, change: &dyn Fn(&Path)| {
+        let run = home.join(name);
+        copied(&late, &run);
+        change(&run.join("report_other_log/cav1"));
+        let _ = fs::remove_file(&page);
+        let (code, said) = report(&[&run], &page, &[]);
+        (code, said, document(&page)["scenes"].as_array().map(Vec::len))
+    };
+    let (code, said, scenes) = parts("whole", &|_| {});
+    assert_eq!((code, scenes), (Some(0), Some(2)), "{said}");
+    let (code, said, scenes) = parts("damaged", &|part| {
+        fs::write(part.join("result.json"), "{").expect("written")
+    });
+    assert_eq!((code, scenes), (Some(3), Some(1)), "{said}");
+    assert!(said.contains("report_other_log/cav1/result.json"), "{said}");
+    let (code, said, scenes) = parts("gone", &|part| fs::remove_dir_all(part).expect("removed"));
+    assert_eq!((code, scenes), (Some(3), Some(1)), "{said}");
+    assert!(
+        said.contains("report_other_log/cav1") && said.contains("no such folder"),
+        "{said}"
+    );
+}
+
+#[test]
+fn each_run_is_compared_with_the_ego_alone_of_its_own_log() {
+    let home = folder("report_margins");
+    let page = home.join("report.html");
+    let [late, alone] = runs();
+    let [late_two, alone_two] = runs_of_two_logs();
+    // The parts over the second log are runs of that log.
+    let part = |run: &Path| run.join("report_other_log/cav1");
+    let (late_other, alone_other) = (part(&late_two), part(&alone_two));
+    let (code, said) = report(&[&late, &late_other, &late_two, &alone_other, &alone], &page, &[]);
+    assert_eq!(code, Some(0), "{said}");
+    let document = document(&page);
+    let against: Vec<Value> = (0..5).map(|at| document["runs"][at]["against"].clone()).collect();
+    assert_eq!(serde_json::json!(against), serde_json::json!([4, 3, null, null, null]));
+    assert_eq!(document["runs"][2]["no_margin"], "logs");
+    let verdict = document["verdict"].to_string();
+    assert_eq!(verdict.matches("Margin over the ego alone").count(), 2, "{verdict}");
+    assert!(
+        verdict.contains("no run of the ego alone here has the same logs"),
+        "{verdict}"
+    );
+}
+
+/// A recording in which every report stands several times, as processes may repeat what they heard.
+fn with_repeated_reports(from: &Path, to: &Path) {
+    let bytes = fs::read(from).expect("it can be read");
+    let file = fs::File::create(to).expect("it can be made");
+    let mut writer = mcap::Writer::new(std::io::BufWriter::new(file)).expect("a writer");
+    let metadata =
+        [("format", "1"), ("program", "realo 9.9.9")].map(|(key, value)| (key.to_string(), value.to_string()));
+    let record = mcap::records::Metadata {
+        name: realo_logs::RECORDING_RECORD.into(),
+        metadata: metadata.into(),
+    };
+    writer.write_metadata(&record).expect("written");
+    for message in mcap::MessageStream::new(&bytes).expect("messages") {
+        let message = message.expect("a message");
+        let times = if message.channel.topic == "/reports" { 7 } else { 1 };
+        for _ in 0..times {
+            writer.write(&message).expect("written");
+        }
+    }
+    writer.finish().expect("finished");
+}
+
+#[test]
+fn what_a_recording_says_again_is_counted_once() {
+    let home = folder("report_repeated");
+    let page = home.join("report.html");
+    let [late, _] = runs();
+    let again = home.join("again");
+    copied(&late, &again);
+    let recording = format!("{LOG}/cav1/recording.mcap");
+    with_repeated_reports(&late.join(&recording), &again.join(&recording));
+    let (code, said) = report(&[&again], &page, &[]);
+    assert_eq!(code, Some(0), "{said}");
+    let document = document(&page);
+    let rows = document["scenes"][0]["runs"][0]["carried"].as_array().expect("rows");
+    let sum = |column: usize| {
+        rows.iter()
+            .map(|row| row[column].as_u64().expect("a number"))
+            .sum::<u64>()
+    };
+    let result = json(&again.join(format!("{LOG}/cav1/result.json")));
+    let boxes = &result["links"]["rsu1-cav1"]["boxes"];
+    assert_eq!(
+        [sum(2), sum(3)],
+        ["sent", "bytes"].map(|what| boxes[what].as_u64().expect("a number"))
+    );
+    assert_eq!(document["runs"][0]["program"], "realo 9.9.9");
+}
+
+#[test]
+fn a_run_that_was_ended_says_so_first() {
+    let home = folder("report_ended");
+    let page = home.join("report.html");
+    let [late, alone] = runs();
+    let ended = home.join("ended");
+    copied(&late, &ended);
+    for file in ["result.json".to_string(), format!("{LOG}/cav1/result.json")] {
+        let mut result = json(&ended.join(&file));
+        result["ended_by"] = "Ctrl-C".into();
+        fs::write(ended.join(&file), result.to_string()).expect("it can be written");
+    }
+    let (code, said) = report(&[&ended, &alone], &page, &[]);
+    assert_eq!(code, Some(0), "{said}");
+    let verdict = document(&page)["verdict"].to_string();
+    assert!(
+        verdict.contains("Ended before the log was: ended by Ctrl-C, after"),
+        "{verdict}"
+    );
+}
+
+#[test]
+fn boxes_of_a_tracker_have_their_tracks_and_objects_the_numbers_of_the_log() {
+    let page = folder("report_tracks").join("report.html");
+    let run = run("late_fusion_tracked", &[]);
+    let (code, said) = report(&[&run], &page, &[]);
+    assert_eq!(code, Some(0), "{said}");
+    let scene = &document(&page)["scenes"][0];
+    let beyond = 9 + scene["ious"].as_array().map_or(0, Vec::len);
+    let names = scene["tracks"].as_object().expect("names");
+    let frames = scene["runs"][0]["frames"].as_object().expect("sweeps");
+    let rows: Vec<&Value> = frames
+        .values()
+        .flat_map(|frame| frame["boxes"].as_array().expect("boxes"))
+        .collect();
+    let followed = rows.iter().filter(|row| row[beyond].as_i64() >= Some(0)).count();
+    assert!(
+        2 * followed > rows.len() && followed > 100,
+        "{followed} of {}",
+        rows.len()
+    );
+    let speeds = rows.iter().filter(|row| row[beyond + 2].is_i64()).count();
+    assert!(speeds > 0, "velocities are recorded");
+    let places = rows
+        .iter()
+        .filter_map(|row| row[beyond].as_i64())
+        .filter(|place| *place >= 0);
+    assert!(places.into_iter().all(|place| names.contains_key(&place.to_string())));
+    // The numbers of the log, as its own reader gives them.
+    let evaluation = json(&run.join(format!("{LOG}/cav1/evaluation.json")));
+    let frame = &evaluation["evaluation"]["scenes"][0]["frames"][10];
+    let log = Log::open(log()).expect("the log opens");
+    let truth = truth(&log, "cav1", frame["stamp"].as_i64().expect("a stamp")).expect("it has truth");
+    let tracks = truth.boxes.iter().filter_map(|one| one.track);
+    let tracks: Vec<String> = tracks.map(|track| track.to_string()).collect();
+    assert!(!tracks.is_empty());
+    let known: Vec<&str> = names.values().filter_map(Value::as_str).collect();
+    assert!(
+        tracks.iter().all(|track| known.contains(&track.as_str())),
+        "{tracks:?}: {known:?}"
+    );
 }
 
 #[test]
@@ -508,7 +752,7 @@ fn what_a_run_lacks_is_said_on_the_page() {
     let many = vec![&*late; 100];
     let (code, said) = report(&many, &page, &["--log", &log]);
     assert_eq!(code, Some(0), "{said}");
-    assert!(said.contains("the player holds the first 12 of 100 runs"), "{said}");
+    assert!(said.contains("the player holds the 12 best of 100 runs"), "{said}");
     assert!(fs::metadata(&page).unwrap().len() < 5_200_000, "{said}");
     assert_eq!(document(&page)["runs"].as_array().map(Vec::len), Some(100));
     drop(realo_ok(["report", "--help"]));

@@ -244,10 +244,15 @@ impl Engine {
 
     /// Takes what was said of messages over links: for this engine's sinks, and for those outside.
     pub fn report(&mut self, fates: Vec<Fated>) {
+        self.hear(&fates);
+        self.fates.extend(fates);
+    }
+
+    /// Takes what was said of messages over links elsewhere: for this engine's sinks alone.
+    pub fn hear(&mut self, fates: &[Fated]) {
         for sink in self.stages.iter_mut().filter(|running| running.role() == Role::Sink) {
             sink.fates.extend(fates.iter().cloned());
         }
-        self.fates.extend(fates);
     }
 
     /// Schedules the release of a source's message.

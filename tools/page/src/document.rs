@@ -10,6 +10,7 @@ use serde::Serialize;
 use serde_json::{Value, json};
 
 use crate::PageError;
+use crate::alone::{Against, is_alone};
 use crate::curves::{PrecisionRecall, age_quantiles, precision_recall, quantiles};
 use crate::html::escaped;
 use crate::points::CloudPart;
@@ -40,6 +41,11 @@ pub struct RunPart {
     pub name: String,
     /// Whether nothing of others is fused.
     pub alone: bool,
+    /// The run of the ego alone that it is compared with.
+    #[serde(flatten)]
+    pub against: Against,
+    /// Name and version of the program that ran, as the recording has it.
+    pub program: Option<String>,
     /// All settings and main numbers as the table for programs has them.
     pub fields: BTreeMap<String, String>,
     /// What `result.json` has, without the counters of stages.
@@ -55,7 +61,7 @@ pub struct RunPart {
 }
 
 impl RunPart {
-    pub fn of(name: &str, run: &Run) -> Self {
+    pub fn of(name: &str, run: &Run, against: Against) -> Self {
         let mut result = serde_json::to_value(&run.result).unwrap_or_default();
         if let Some(result) = result.as_object_mut() {
             for unused in ["nodes", "accuracy_processed", "peers", "clocks"] {
@@ -78,7 +84,9 @@ impl RunPart {
         let fields = fields(&[run]).into_iter();
         RunPart {
             name: name.into(),
-            alone: run.result.cooperation.is_none(),
+            alone: is_alone(run),
+            against,
+            program: None,
             fields: fields.map(|(field, values)| (field, values.concat())).collect(),
             result,
             timing: json!({
@@ -268,7 +276,7 @@ mod tests {
             verdict: Vec::new(),
             iou: "0.5".into(),
             differences: Vec::new(),
-            runs: vec![RunPart::of("late", &run())],
+            runs: vec![RunPart::of("late", &run(), Against::default())],
             classes: Vec::new(),
             scenes: vec![scene],
             points: Vec::new(),

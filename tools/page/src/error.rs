@@ -1,3 +1,5 @@
+use std::path::PathBuf;
+
 use realo_logs::LogError;
 use realo_render::RenderError;
 use realo_results::FilesError;
@@ -28,6 +30,12 @@ pub enum PageError {
     /// Runs over one log that were scored by different rules.
     #[error(transparent)]
     Protocols(Box<DifferentProtocols>),
+    /// A recording that is not of the run beside whose results it lies.
+    #[error(transparent)]
+    OtherRecording(Box<OtherRecording>),
+    /// None of several runs can be shown.
+    #[error("none of {} runs can be shown:\n{}", .0.len(), .0.join("\n"))]
+    NoRun(Vec<String>),
     /// More than a page may hold, though no sweep is left in the player.
     #[error(
         "the tables and charts of {runs} runs take {bytes} bytes, a page may have {most}; name fewer runs, or pool them"
@@ -64,4 +72,23 @@ pub struct DifferentProtocols {
     pub log: String,
     /// The ego of both.
     pub ego: String,
+}
+
+/// A recording whose boxes are not those that the results beside it count.
+#[derive(Debug, thiserror::Error)]
+#[error(
+    "{recording}: it is of another run: at sweep {seq} of `{ego}` the results beside it (`evaluation.json`) expect {expected}, \
+     found {found}; put this run's own recording there, or run it again"
+)]
+pub struct OtherRecording {
+    /// The recording.
+    pub recording: PathBuf,
+    /// The ego.
+    pub ego: String,
+    /// Number of the first sweep that differs.
+    pub seq: u64,
+    /// What the results have of it.
+    pub expected: String,
+    /// What the recording has of it.
+    pub found: String,
 }

@@ -1,7 +1,9 @@
 //! A sweep as the evaluator sees it: which box found which object.
 
 use realo_schemas::{Box3, Boxes, GroundTruth, Header};
-use realo_scoring::{Collector, EvaluationError, Frame, Labels, Outcome, Outline, Protocol, Scope, match_frame};
+use realo_scoring::{
+    Collector, Detection, EvaluationError, Frame, Labels, Outcome, Outline, Protocol, Scope, match_frame,
+};
 
 /// A detection that found nothing.
 pub const FALSE: i32 = -1;
@@ -88,6 +90,18 @@ impl Judged {
         }
         Ok(judged)
     }
+}
+
+/// The detections of a sweep that count, as the evaluator keeps them.
+///
+/// # Errors
+/// Truth and boxes that cannot be compared.
+pub fn counted(
+    (header, truth): &(Header, GroundTruth),
+    boxes: &(Header, Boxes),
+    protocol: &Protocol,
+) -> Result<Vec<Detection>, EvaluationError> {
+    Ok(frame(header, truth, Some(boxes), protocol)?.detections)
 }
 
 /// Where the boxes that count are among those that were recorded: the collector keeps their order.

@@ -8,33 +8,38 @@
 //! | `document` | the JSON document that the page holds |
 //! | `recorded`, `judged` | what a run's recording holds of each sweep, matched with the truth |
 //! | `scenes` | the sweeps of one log and ego in all runs, on one clock |
+//! | `own` | whether a recording is that of the run beside it |
+//! | `alone` | which run of the ego alone a run is compared with |
 //! | `curves` | precision and recall, distributions |
 //! | `verdict` | three sentences on what came out |
 //! | `points` | sweeps of agents, in few bytes |
 //! | `html` | the page around the document |
 //! | `live` | the sweeps of a run that goes on |
 
+mod alone;
 mod curves;
 mod document;
 mod error;
 mod html;
 mod judged;
 mod live;
+mod own;
 mod points;
 mod recorded;
 mod scenes;
 mod verdict;
 
-use std::path::PathBuf;
+use std::path::{Path, PathBuf};
 
 use realo_report::differences;
 use realo_results::{Run, read_run};
 
-pub use error::{DifferentProtocols, PageError};
+pub use error::{DifferentProtocols, OtherRecording, PageError};
 pub use html::html;
 pub use live::{Live, Watched, live_page};
 pub use verdict::sentences as verdict;
 
+use alone::{Against, against};
 use document::{Document, RunPart};
 use points::Points;
 use scenes::{Names, Scenes};
@@ -68,6 +73,10 @@ pub struct Page {
     pub html: String,
     /// What was left out, why, and what to try; the page says it too.
     pub left_out: Vec<String>,
+    /// How many of that are runs, or parts of them, that are damaged or gone.
+    pub failed: usize,
+    /// Runs on the page.
+    pub runs: usize,
     /// Sweeps that the player has, of all recordings together.
     pub sweeps: usize,
     /// Points on the page.
@@ -77,33 +86,99 @@ pub struct Page {
 /// Hears what is read and how far that is: words, done, all.
 pub type Watch<'a> = dyn Fn(&str, usize, usize) + 'a;
 
-/// Makes the page of some runs.
-///
-/// # Errors
-/// A folder without a complete run; a file of another version; a damaged recording; with points, a log that is gone or of
-/// another run.
-pub fn page(request: &Request, watch: &Watch) -> Result<Page, PageError> {
-    let mut runs: Vec<(&str, Run)> = Vec::new();
-    for (name, folder) in &request.runs {
-        watch(&format!("reading {name}"), runs.len(), request.runs.len());
-        runs.push((name, read_run(folder)?));
+/// A run with its name and folder.
+type Named<'a> = (&'a str, &'a Path, Run);
+
+/// Runs that could be read, with their places in the request.
+struct Readable<'a> {
+    runs: Vec<Named<'a>>,
+    /// What is said of the others.
+    failed: Vec<String>,
+}
+
+impl<'a> Readable<'a> {
+    /// # Errors
+    /// No run can be read.
+    fn of(request: &'a Request, watch: &Watch) -> Result<Self, PageError> {
+        let (mut runs, mut failed) = (Vec::new(), Vec::new());
+        for (number, (name, folder)) in request.runs.iter().enumerate() {
+            watch(&format!("reading {name}"), number, request.runs.len());
+            match read_run(folder) {
+                Ok(run) => runs.push((name.as_str(), folder.as_path(), run)),
+                Err(error) if request.runs.len() == 1 => return Err(error.into()),
+                Err(error) => failed.push(format!("{name}: not on this page: {error}")),
+            }
+        }
+        match runs.is_empty() {
+            true => Err(PageError::NoRun(failed)),
+            false => Ok(Readable { runs, failed }),
+        }
     }
-    let borrowed: Vec<(&str, &Run)> = runs.iter().map(|(name, run)| (*name, run)).collect();
-    let mut names = Names::default();
-    let mut left_out = Vec::new();
-    let mut scenes = Scenes::default();
-    let with_player = request.runs.len().min(MOST_RECORDINGS);
-    if with_player < request.runs.len() {
+}
+
+/// The places of the runs that the player holds, ascending: those of the highest scores, and the ego alone beside the best.
+fn in_player(runs: &[(&str, &Run)], against: &[Against]) -> Vec<usize> {
+    let order = verdict::by_score(runs);
+    let mut chosen: Vec<usize> = order.iter().copied().take(MOST_RECORDINGS).collect();
+    let alone = order.iter().find_map(|at| against[*at].against);
+    if let Some(alone) = alone.filter(|alone| !chosen.contains(alone)) {
+        chosen.pop();
+        chosen.push(alone);
+    }
+    chosen.sort_unstable();
+    chosen
+}
+
+/// Reads the recordings of the runs that the player holds. Returns how many runs, or parts of them, are damaged or gone.
+fn read_scenes(
+    scenes: &mut Scenes,
+    runs: &[Named],
+    against: &[Against],
+    request: &Request,
+    names: &mut Names,
+    left_out: &mut Vec<String>,
+    watch: &Watch,
+) -> Result<usize, PageError> {
+    let borrowed: Vec<(&str, &Run)> = runs.iter().map(|(name, _, run)| (*name, run)).collect();
+    let player = in_player(&borrowed, against);
+    if player.len() < runs.len() {
         left_out.push(format!(
-            "the player holds the first {with_player} of {} runs; name fewer runs to see others",
-            request.runs.len()
+            "the player holds the {} best of {} runs; name fewer runs to see others",
+            player.len(),
+            runs.len()
         ));
     }
-    let most_sweeps = (MOST_SWEEPS / with_player.max(1)).max(64);
-    for (number, (name, folder)) in request.runs.iter().take(with_player).enumerate() {
-        watch(&format!("reading the recording of {name}"), number, with_player);
-        scenes.read(number, name, folder, request, most_sweeps, &mut names, &mut left_out)?;
+    let most_sweeps = (MOST_SWEEPS / player.len().max(1)).max(64);
+    for (done, number) in player.iter().copied().enumerate() {
+        let (name, folder, _) = &runs[number];
+        watch(&format!("reading the recording of {name}"), done, player.len());
+        scenes.read(number, name, folder, request, most_sweeps, names, left_out)?;
     }
+    let damaged = std::mem::take(&mut scenes.failed);
+    let count = damaged.len();
+    for (name, error) in damaged {
+        match request.runs.len() == 1 && scenes.parts.is_empty() {
+            true => return Err(error),
+            false => left_out.push(format!("{name}: not in the player: {error}")),
+        }
+    }
+    Ok(count)
+}
+
+/// Makes the page of some runs. Of several runs those that cannot be read are left out.
+///
+/// # Errors
+/// No folder with a complete run; a file of another version or a damaged recording of the only run; a log that was named and is
+/// of another run; with points, a log that is gone.
+pub fn page(request: &Request, watch: &Watch) -> Result<Page, PageError> {
+    let Readable { runs, failed } = Readable::of(request, watch)?;
+    let borrowed: Vec<(&str, &Run)> = runs.iter().map(|(name, _, run)| (*name, run)).collect();
+    let against = against(&borrowed);
+    let mut names = Names::default();
+    let mut count = failed.len();
+    let mut left_out = failed;
+    let mut scenes = Scenes::default();
+    count += read_scenes(&mut scenes, &runs, &against, request, &mut names, &mut left_out, watch)?;
     scenes.check_given(request)?;
     scenes.share_truth();
     let mut document = Document {
@@ -112,12 +187,19 @@ pub fn page(request: &Request, watch: &Watch) -> Result<Page, PageError> {
         verdict: verdict::sentences(&borrowed),
         iou: verdict::overlap(&borrowed),
         differences: differences(&borrowed),
-        runs: borrowed.iter().map(|(name, run)| RunPart::of(name, run)).collect(),
+        runs: borrowed
+            .iter()
+            .zip(against)
+            .map(|((name, run), against)| RunPart::of(name, run, against))
+            .collect(),
         classes: names.classes,
         scenes: std::mem::take(&mut scenes.parts),
         points: Vec::new(),
         left_out,
     };
+    for (number, program) in std::mem::take(&mut scenes.programs) {
+        document.runs[number].program = Some(program);
+    }
     let title = document.title();
     let around = html(&title, "", "").len();
     let mut json = document.fitted(request.most_bytes.saturating_sub(around))?;
@@ -135,5 +217,7 @@ pub fn page(request: &Request, watch: &Watch) -> Result<Page, PageError> {
         points: points.count,
         html: html(&title, &json, &points.text),
         left_out: document.left_out,
+        failed: count,
+        runs: document.runs.len(),
     })
 }

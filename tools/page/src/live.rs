@@ -221,6 +221,7 @@ impl Live {
         }
         let head = json!({
             "seq": seq,
+            "tracks": self.scene.names_of(&frame, &of_run),
             "frame": frame,
             "run": of_run,
             "start": self.scene.start,

@@ -1,12 +1,12 @@
 //! What the recording of one run over one log and ego holds.
 
-use std::collections::BTreeMap;
+use std::collections::{BTreeMap, BTreeSet};
 use std::path::Path;
 
-use realo_logs::MAX_GAP;
+use realo_logs::{MAX_GAP, McapFile, RECORDING_RECORD};
 use realo_recorder::{FATES, boxes_of, footprints_of, reports_of, states_of, truth_of};
 use realo_schemas::geometry::PoseTrack;
-use realo_schemas::report::{Entry, Fated};
+use realo_schemas::report::{Entry, Fate, Fated};
 use realo_schemas::{Boxes, GroundTruth, Header, Kind, Name, Nanos};
 use serde::Deserialize;
 
@@ -31,12 +31,16 @@ pub struct Recorded {
     pub fates: Vec<Fated>,
     /// What was said of further messages, in number.
     pub fates_cut: usize,
+    /// What was said already: stages of several processes may report the same.
+    said: BTreeSet<Said>,
     /// How messages for fusion entered their channels, where that is known: sender and bytes, by the second of their time.
     pub carried: BTreeMap<(String, i64), Carried>,
     /// Reports of messages that are of an unknown form.
     pub unreadable: usize,
     /// Where each agent was in the map, as the graph knew it.
     pub poses: BTreeMap<Name, PoseTrack>,
+    /// Name and version of the program that ran, where the recording says.
+    pub program: Option<String>,
     /// Outlines of agents in their body frames, x min, x max, y min, y max, m.
     pub footprints: BTreeMap<Name, [f64; 4]>,
 }
@@ -48,6 +52,9 @@ pub struct Carried {
     pub bytes: u64,
 }
 
+/// What a report says of a message: its sender, kind and number; what became of it, for which sweep, and when it entered.
+type Said = (Name, Kind, u64, Fate, Option<u64>, Option<Nanos>);
+
 /// Stands in what is said of a recording of which not all sweeps are on the page.
 pub const FEWER_SWEEPS: &str = "sweeps, one of";
 
@@ -56,6 +63,9 @@ const MOST_SECONDS: usize = 100_000;
 
 /// Reports of messages that are kept; later ones are not on the page.
 const MOST_FATES: usize = 200_000;
+
+/// Reports of messages, with those of how they entered their channels, that are told from what was said before.
+const MOST_SAID: usize = 1_000_000;
 
 impl Recorded {
     /// One that holds nothing yet.
@@ -66,9 +76,11 @@ impl Recorded {
             total: 0,
             fates: Vec::new(),
             fates_cut: 0,
+            said: BTreeSet::new(),
             carried: BTreeMap::new(),
             unreadable: 0,
             poses: BTreeMap::new(),
+            program: None,
             footprints: BTreeMap::new(),
         }
     }
@@ -76,7 +88,7 @@ impl Recorded {
     /// Reads a recording and keeps so many sweeps at most: all, or every 2nd, 4th, 8th …
     pub fn read(recording: &Path, ego: &str, most: usize) -> Result<Self, PageError> {
         let mut recorded = Recorded::empty();
-        let mut numbers = std::collections::BTreeSet::new();
+        let mut numbers = BTreeSet::new();
         for message in truth_of(recording)? {
             let part = message?.into_parts::<GroundTruth>()?;
             numbers.insert(part.0.seq);
@@ -95,6 +107,9 @@ impl Recorded {
         recorded.read_fates(recording, ego)?;
         recorded.read_poses(recording)?;
         recorded.footprints = footprints_of(recording)?;
+        let file = McapFile::open(recording)?;
+        let record = file.metadata().get(RECORDING_RECORD);
+        recorded.program = record.and_then(|record| record.get("program").cloned());
         Ok(recorded)
     }
 
@@ -127,18 +142,39 @@ impl Recorded {
                 self.unreadable += 1;
                 continue;
             };
-            for fated in fates.into_iter().filter(|fated| fated.message.to == ego) {
-                if let Some(entry) = fated.entry {
-                    self.carry(&fated, &entry);
-                    continue;
-                }
-                match self.fates.len() < MOST_FATES {
-                    true => self.fates.push(fated),
-                    false => self.fates_cut += 1,
-                }
-            }
+            fates
+                .into_iter()
+                .filter(|fated| fated.message.to == ego)
+                .for_each(|fated| self.hear(fated));
         }
+        self.said = BTreeSet::new();
         Ok(())
+    }
+
+    /// Takes what was said of a message, once.
+    fn hear(&mut self, fated: Fated) {
+        let message = &fated.message;
+        let said = (
+            message.from.as_str().into(),
+            message.kind,
+            message.seq,
+            fated.fate,
+            fated.r#use.map(|used| used.query),
+            fated.entry.map(|entry| entry.at_ns),
+        );
+        if self.said.contains(&said) {
+            return;
+        }
+        if self.said.len() >= MOST_SAID {
+            self.fates_cut += 1;
+            return;
+        }
+        self.said.insert(said);
+        match fated.entry {
+            Some(entry) => self.carry(&fated, &entry),
+            None if self.fates.len() < MOST_FATES => self.fates.push(fated),
+            None => self.fates_cut += 1,
+        }
     }
 
     fn carry(&mut self, fated: &Fated, entry: &Entry) {
@@ -195,7 +231,7 @@ impl Recorded {
 
 #[cfg(test)]
 mod tests {
-    use realo_schemas::report::{Crossing, Fate};
+    use realo_schemas::report::{Crossing, Use};
 
     use super::*;
 
@@ -231,6 +267,38 @@ mod tests {
         assert_eq!(of("rsu1", 1), Some([2, 200]));
         assert_eq!((of("rsu1", 2), of("cav2", -1)), (Some([1, 100]), Some([1, 100])));
         assert_eq!(recorded.carried.len(), 3);
+    }
+
+    #[test]
+    fn what_is_said_again_counts_once() {
+        let message = |seq| Crossing {
+            from: "rsu1".into(),
+            to: "cav1".into(),
+            kind: Kind::Boxes,
+            seq,
+        };
+        let of = |seq, fate, query: Option<u64>, at_ns: Option<Nanos>| Fated {
+            message: message(seq),
+            fate,
+            r#use: query.map(|query| Use { query, age_ns: 5 }),
+            entry: at_ns.map(|at_ns| Entry { bytes: 100, at_ns }),
+        };
+        // Several processes report the same; a message may be used for two sweeps, and one sent anew counts anew.
+        let all = [
+            of(1, Fate::InFlight, None, Some(10)),
+            of(2, Fate::InFlight, None, Some(20)),
+            of(1, Fate::Used, Some(3), None),
+            of(1, Fate::Used, Some(4), None),
+            of(2, Fate::Lost, None, None),
+            of(1, Fate::InFlight, None, Some(1_500_000_000)),
+        ];
+        let mut recorded = Recorded::empty();
+        for _ in 0..20 {
+            all.iter().for_each(|fated| recorded.hear(fated.clone()));
+        }
+        assert_eq!((recorded.fates.len(), recorded.fates_cut), (3, 0));
+        let carried: Vec<[u64; 2]> = recorded.carried.values().map(|of| [of.messages, of.bytes]).collect();
+        assert_eq!(carried, [[2, 200], [1, 100]]);
     }
 
     #[test]

@@ -10,7 +10,7 @@ use std::path::{Path, PathBuf};
 use nalgebra::{Isometry3, Vector3};
 use realo_logs::{AgentKind, Log, LogError, Stream};
 use realo_render::{RECORDING, RenderError, clouds, single_runs};
-use realo_results::{Run, read_run};
+use realo_results::{Run, read_run, run_folder};
 use realo_schemas::geometry::yaw_of;
 use realo_schemas::report::{Fate, Fated};
 use realo_schemas::{Box3, Kind, Name, Nanos};
@@ -19,7 +19,7 @@ use serde::Serialize;
 
 use crate::judged::{Judged, is_known, labelled};
 use crate::recorded::{Recorded, Sweep};
-use crate::{DifferentProtocols, PageError, Request};
+use crate::{DifferentProtocols, PageError, Request, own};
 
 const MILLI: Nanos = 1_000_000;
 /// Messages of one recording that are on the page, at most; those that were not used go first.
@@ -47,12 +47,15 @@ fn place(names: &mut Vec<String>, name: &str) -> usize {
     })
 }
 
-/// An object: `[class, x, y, z, length, width, height, yaw, the scene's number of its track or -1, counts: 0 or 1]` and the
+/// An object: `[class, x, y, z, length, width, height, yaw, the scene's place of its track or -1, counts: 0 or 1]` and the
 /// points of each agent of the scene on it, nothing where the log does not say.
 pub type ObjectRow = (Vec<i32>, Vec<u32>);
 
+/// Whose number a track has: the log's (`None`), or that of a run by its place; and the number.
+type Track = (Option<usize>, u64);
+
 /// The number of a track, which is new for a new one.
-fn number_of(tracks: &mut BTreeMap<u64, i32>, track: u64) -> i32 {
+fn number_of(tracks: &mut BTreeMap<Track, i32>, track: Track) -> i32 {
     let next = tracks.len() as i32;
     *tracks.entry(track).or_insert(next)
 }
@@ -71,6 +74,8 @@ pub struct ScenePart {
     /// Where objects count: x min, x max, y min, y max, in the ego's frame.
     pub region: [i32; 4],
     pub protocol: String,
+    /// Classes that the protocol scores, in its order.
+    pub scored: Vec<String>,
     pub ious: Vec<String>,
     /// Smallest points of the ego on an object that it counts as having seen.
     pub seen_points: u64,
@@ -87,9 +92,13 @@ pub struct ScenePart {
     /// Name of the run that it was made for.
     #[serde(skip)]
     pub first_run: String,
-    /// Numbers of the log's tracks on the page: a track of a log may have more digits than a number of JavaScript.
+    /// Places of the tracks of the log and of runs on the page.
     #[serde(skip)]
-    pub tracks: BTreeMap<u64, i32>,
+    pub tracks: BTreeMap<Track, i32>,
+    /// By place, the number of each track as the log or the run has it: text, for it may have more digits than a number of
+    /// JavaScript.
+    #[serde(rename = "tracks")]
+    pub track_names: BTreeMap<i32, String>,
     /// Outlines as a graph knew them, m.
     #[serde(skip)]
     footprints: BTreeMap<Name, [f64; 4]>,
@@ -149,7 +158,8 @@ impl SceneRun {
 #[derive(Debug, Default, Serialize)]
 pub struct RunFrame {
     /// `[class, score, x, y, z, length, width, height, yaw, what became of it at each IoU …]`: the place of the object that
-    /// it found, or -1 false, -2 not counted, -3 not known. `None`: no boxes came.
+    /// it found, or -1 false, -2 not counted, -3 not known. Where the run follows boxes, then the place of its track or -1, and
+    /// its velocity x, y in cm/s where it is known. `None`: no boxes came.
     pub boxes: Option<Vec<Vec<i32>>>,
     /// Whether the log says what is there, which may be nothing.
     pub known: bool,
@@ -173,6 +183,19 @@ pub struct Scenes {
     /// By name; `None`: not found.
     pub logs: BTreeMap<String, Option<Log>>,
     given: Given,
+    /// By the place of a run on the page: the program that ran.
+    pub programs: BTreeMap<usize, String>,
+    /// Names of runs, and why a part of them is not in the player.
+    pub failed: Vec<(String, PageError)>,
+}
+
+/// The recording of a run, if it is that of the run.
+fn recorded(recording: &Path, run: &Run, most: usize) -> Result<Recorded, PageError> {
+    let ego = &run.result.settings.ego;
+    let mut recorded = Recorded::read(recording, ego, most)?;
+    recorded.take_footprint(recorded.footprints.get(&**ego).copied());
+    own::check(recording, run, &recorded)?;
+    Ok(recorded)
 }
 
 /// What became of the log that was named.
@@ -184,10 +207,10 @@ struct Given {
 }
 
 impl Scenes {
-    /// Adds the recordings of a run.
+    /// Adds the recordings of a run; one that cannot be read, or is of another run, is left out and said in [`Scenes::failed`].
     ///
     /// # Errors
-    /// A folder or recording that cannot be read.
+    /// A folder that cannot be read; a log that was named and does not fit; runs of different protocols.
     #[allow(clippy::too_many_arguments, reason = "a pass over a run fills them all")]
     pub fn read(
         &mut self,
@@ -201,7 +224,16 @@ impl Scenes {
     ) -> Result<(), PageError> {
         let folders = single_runs(folder)?;
         let most = (most_sweeps / folders.len().max(1)).max(16);
-        for folder in folders {
+        let mut known = Vec::new();
+        for folder in &folders {
+            let run = match read_run(folder) {
+                Ok(run) => run,
+                Err(error) => {
+                    self.failed.push((name.into(), error.into()));
+                    continue;
+                }
+            };
+            known.push((run.result.logs.first().cloned(), run.result.settings.ego.clone()));
             let recording = folder.join(RECORDING);
             if !recording.exists() {
                 left_out.push(format!(
@@ -210,20 +242,47 @@ impl Scenes {
                 ));
                 continue;
             }
-            let run = read_run(&folder)?;
-            let mut recorded = Recorded::read(&recording, &run.result.settings.ego, most)?;
-            if (recorded.total as u64) < run.result.frames.total {
-                left_out.push(format!(
-                    "{name}: {} holds {} of {} sweeps: it was cut; run it again to have all",
-                    recording.display(),
-                    recorded.total,
-                    run.result.frames.total
-                ));
+            match recorded(&recording, &run, most) {
+                Ok(mut recorded) => {
+                    if (recorded.total as u64) < run.result.frames.total {
+                        left_out.push(format!(
+                            "{name}: {} holds {} of {} sweeps: it was cut; run it again to have all",
+                            recording.display(),
+                            recorded.total,
+                            run.result.frames.total
+                        ));
+                    }
+                    if let Some(program) = recorded.program.take() {
+                        self.programs.insert(number, program);
+                    }
+                    left_out.extend(recorded.left_out(&format!("{name}: {}", recording.display())));
+                    self.add(number, name, &run, &mut recorded, request, names, left_out)?;
+                }
+                Err(error) => self.failed.push((name.into(), error)),
             }
-            left_out.extend(recorded.left_out(&format!("{name}: {}", recording.display())));
-            self.add(number, name, &run, &mut recorded, request, names, left_out)?;
         }
+        self.find_missing(name, &run_folder(folder), &folders, &known);
         Ok(())
+    }
+
+    /// Says which of the runs that a batch is the sum of are gone or damaged. `found`: folders of single runs; `known`: logs and
+    /// egos of those that could be read.
+    fn find_missing(&mut self, name: &str, folder: &Path, found: &[PathBuf], known: &[(Option<String>, String)]) {
+        // Without any single run the sum stands for all.
+        let stands_for_all = found.iter().any(|one| one == folder);
+        let Ok(sum) = read_run(folder) else { return };
+        for scene in sum.samples.evaluation.iter().flat_map(|all| &all.scenes) {
+            let single = folder.join(&scene.name).join(&scene.ego);
+            let is_known =
+                |(log, ego): &(Option<String>, String)| log.as_ref() == Some(&scene.name) && *ego == scene.ego;
+            let is_there = match stands_for_all {
+                true => !single.exists(),
+                false => known.iter().any(is_known) || found.contains(&single),
+            };
+            if !is_there && let Err(error) = read_run(&single) {
+                self.failed.push((name.into(), error.into()));
+            }
+        }
     }
 
     #[allow(clippy::too_many_arguments, reason = "a pass over a run fills them all")]
@@ -448,6 +507,23 @@ fn place_of(object: &Box3) -> [i32; 7] {
     [x, y, z, length, width, height, (object.yaw * 1000.0).round() as i32]
 }
 
+/// The super-class of a box, also of one that does not count; the name of its own where the protocol has none for it.
+fn class_of<'a>(object: &'a Box3, counted: Option<u8>, protocol: &'a Protocol) -> &'a str {
+    let number = counted.or_else(|| protocol.class_of(&object.class));
+    number.map_or(&*object.class, |number| {
+        protocol.classes[usize::from(number)].name.as_str()
+    })
+}
+
+/// The place of a track, which gets its name when it is new; -1 for none.
+fn track_place(tracks: &mut BTreeMap<Track, i32>, names: &mut BTreeMap<i32, String>, track: Option<Track>) -> i32 {
+    track.map_or(-1, |track| {
+        let place = number_of(tracks, track);
+        names.entry(place).or_insert_with(|| track.1.to_string());
+        place
+    })
+}
+
 impl ScenePart {
     pub fn new(log: &str, ego: &str, start: Nanos, protocol: &Protocol) -> Self {
         let [x, y] = [protocol.region.x, protocol.region.y];
@@ -458,6 +534,7 @@ impl ScenePart {
             agents: Vec::new(),
             region: [x[0], x[1], y[0], y[1]].map(cm),
             protocol: protocol.name.clone(),
+            scored: protocol.classes.iter().map(|class| class.name.clone()).collect(),
             ious: protocol.ious.iter().map(|iou| Protocol::iou_key(*iou)).collect(),
             seen_points: protocol.seen_points,
             frames: BTreeMap::new(),
@@ -467,6 +544,7 @@ impl ScenePart {
             rules: protocol.clone(),
             first_run: String::new(),
             tracks: BTreeMap::new(),
+            track_names: BTreeMap::new(),
             footprints: BTreeMap::new(),
         }
     }
@@ -547,7 +625,6 @@ impl ScenePart {
             return Ok(());
         };
         let judged = Judged::of(sweep.truth.as_ref(), sweep.boxes.as_ref(), protocol)?;
-        let class = |number: u8| protocol.classes[usize::from(number)].name.as_str();
         let ego = pose_row(&map_from_ego, origin);
         let poses: Vec<Option<PoseRow>> = (0..self.agents.len())
             .map(|at| {
@@ -580,9 +657,10 @@ impl ScenePart {
             let is_whole = truth.points.len() == truth.boxes.len() * truth.agents.len();
             let objects = labelled(truth, protocol).iter().enumerate().map(|(index, object)| {
                 let counted = judged.object_classes.get(index).copied().flatten();
-                let mut row = vec![names.class(counted.map_or(&*object.class, class))];
+                let mut row = vec![names.class(class_of(object, counted, protocol))];
                 row.extend(place_of(object));
-                row.push(object.track.map_or(-1, |track| number_of(&mut self.tracks, track)));
+                let track = object.track.map(|track| (None, track));
+                row.push(track_place(&mut self.tracks, &mut self.track_names, track));
                 row.push(i32::from(counted.is_some()));
                 let points = |agent: &Option<usize>| {
                     let at = index * truth.agents.len() + (*agent)?;
@@ -597,16 +675,33 @@ impl ScenePart {
         if let Some((_, boxes)) = &sweep.boxes {
             let rows = boxes.0.iter().enumerate().map(|(index, object)| {
                 let counted = judged.detection_classes[index];
-                let mut row = vec![names.class(counted.map_or(&*object.class, class))];
+                let mut row = vec![names.class(class_of(object, counted, protocol))];
                 row.push((object.score * 1000.0).round() as i32);
                 row.extend(place_of(object));
                 row.extend(&judged.detections[index]);
+                if object.track.is_some() || object.velocity.is_some() {
+                    let track = object.track.map(|track| (Some(run.run), track));
+                    row.push(track_place(&mut self.tracks, &mut self.track_names, track));
+                }
+                if let Some([x, y, _]) = object.velocity {
+                    row.extend([x, y].map(cm));
+                }
                 row
             });
             of_run.boxes = Some(rows.collect());
         }
         run.frames.insert(seq, of_run);
         Ok(())
+    }
+
+    /// The numbers of the tracks of a sweep, as their sources have them.
+    pub fn names_of(&self, frame: &FramePart, run: &RunFrame) -> BTreeMap<i32, &str> {
+        let objects = frame.objects.iter().map(|(row, _)| row.get(8));
+        let boxes = run.boxes.iter().flatten().map(|row| row.get(9 + self.ious.len()));
+        let places = objects.chain(boxes).flatten();
+        places
+            .filter_map(|place| Some((*place, self.track_names.get(place)?.as_str())))
+            .collect()
     }
 
     /// What was sent to the ego, by the second.
@@ -706,6 +801,8 @@ fn placed(seq: u64, used: &[(u64, i64)]) -> Option<i64> {
 
 #[cfg(test)]
 mod tests {
+    use realo_schemas::{Boxes, Header};
+
     use super::*;
 
     #[test]
@@ -725,10 +822,46 @@ mod tests {
     }
 
     #[test]
-    fn a_track_of_many_digits_has_a_small_number() {
-        let mut tracks = BTreeMap::new();
-        let numbers = [u64::MAX, 7, u64::MAX, 1 << 40].map(|track| number_of(&mut tracks, track));
-        assert_eq!(numbers, [0, 1, 0, 2]);
+    fn a_track_keeps_its_own_number_as_text() {
+        let (mut tracks, mut names) = (BTreeMap::new(), BTreeMap::new());
+        let mut place = |whose, track| track_place(&mut tracks, &mut names, Some((whose, track)));
+        let places = [u64::MAX, 7, u64::MAX].map(|track| place(None, track));
+        assert_eq!(places, [0, 1, 0]);
+        // A run counts its own tracks.
+        assert_eq!([place(Some(0), 7), place(Some(1), 7), place(Some(0), 7)], [2, 3, 2]);
+        assert_eq!(track_place(&mut tracks, &mut names, None), -1);
+        let names: Vec<&str> = names.values().map(String::as_str).collect();
+        assert_eq!(names, ["18446744073709551615", "7", "7", "7"]);
+    }
+
+    #[test]
+    fn boxes_of_a_tracker_bring_their_tracks_and_velocities_and_classes_are_the_protocols() {
+        let object = |class: &str, x: f64| Box3::new(class, [x, 0.0, 0.8], [4.0, 2.0, 1.6], 0.0);
+        let header = |kind| Header::origin(&"run".into(), &"cav1".into(), kind, 3, 10, 20);
+        let (mut tracked, mut moving) = (object("Car", 10.0), object("Car", 5000.0));
+        tracked.track = Some(41);
+        moving.velocity = Some([1.5, -2.0, 0.0]);
+        let kite = object("Kite", 30.0);
+        let sweep = Sweep {
+            truth: None,
+            boxes: Some((header(Kind::Boxes), Boxes(vec![tracked, moving, kite]))),
+        };
+        let mut scene = ScenePart::empty("log", "cav1");
+        let (mut run, mut names, rules) = (SceneRun::empty(), Names::default(), scene.rules.clone());
+        let recorded = Recorded::empty();
+        scene
+            .add_sweep(3, &sweep, &recorded, &rules, Vector3::zeros(), &mut run, &mut names)
+            .unwrap();
+        let rows = run.frames[&3].boxes.clone().unwrap();
+        let beyond: Vec<&[i32]> = rows.iter().map(|row| &row[9 + rules.ious.len()..]).collect();
+        assert_eq!(beyond, [&[0][..], &[-1, 150, -200], &[]]);
+        assert_eq!(scene.track_names[&0], "41");
+        let classes: Vec<&str> = rows.iter().map(|row| names.classes[row[0] as usize].as_str()).collect();
+        assert_eq!(
+            classes,
+            ["vehicle", "vehicle", "Kite"],
+            "also of a box that does not count"
+        );
     }
 
     #[test]

@@ -5,6 +5,8 @@ use std::collections::BTreeSet;
 use realo_results::{Ages, Fates, Run, Spread};
 use realo_schemas::Kind;
 
+use crate::alone::{Against, against, is_alone};
+
 /// The overlap that sentences are about, where the protocol has it.
 const IOU: &str = "0.5";
 
@@ -18,21 +20,42 @@ pub fn overlap(runs: &[(&str, &Run)]) -> String {
     }
 }
 
-/// Who beat whom, what cooperation gained or harmed, and what was lost or late.
+/// Who beat whom, what cooperation gained or harmed, which runs did not come to their end, and what was lost or late.
 pub fn sentences(runs: &[(&str, &Run)]) -> Vec<String> {
     let iou = overlap(runs);
-    let scored: Vec<Scored> = runs
-        .iter()
-        .filter_map(|(name, run)| Scored::of(name, run, &iou))
-        .collect();
+    let scored = scored(runs, &iou);
     let mut said = vec![ranking(&scored, &iou)];
-    said.extend(margins(&scored));
+    let against = against(runs);
+    said.extend(margins(&scored, &against));
+    if let (Some(last), Some(without)) = (said.last_mut(), without_margin(&scored, &against)) {
+        *last = format!("{last} {without}");
+    }
+    said.extend(ended(runs));
     said.push(traffic(runs));
     said
 }
 
+/// The places of runs, the one of the highest score first; those without a score come last, in their order.
+pub fn by_score(runs: &[(&str, &Run)]) -> Vec<usize> {
+    let mut means = vec![f64::NEG_INFINITY; runs.len()];
+    for one in scored(runs, &overlap(runs)) {
+        means[one.at] = one.mean;
+    }
+    let mut order: Vec<usize> = (0..runs.len()).collect();
+    order.sort_by(|a, b| means[*b].total_cmp(&means[*a]));
+    order
+}
+
+fn scored<'a>(runs: &[(&'a str, &'a Run)], iou: &str) -> Vec<Scored<'a>> {
+    let all = runs.iter().enumerate();
+    all.filter_map(|(at, (name, run))| Scored::of(at, name, run, iou))
+        .collect()
+}
+
 /// A run with a mean average precision.
 struct Scored<'a> {
+    /// Its place among all runs.
+    at: usize,
     name: &'a str,
     run: &'a Run,
     mean: f64,
@@ -42,7 +65,7 @@ struct Scored<'a> {
 }
 
 impl<'a> Scored<'a> {
-    fn of(name: &'a str, run: &'a Run, iou: &str) -> Option<Self> {
+    fn of(at: usize, name: &'a str, run: &'a Run, iou: &str) -> Option<Self> {
         let accuracy = &run.result.accuracy.as_ref()?.sorted;
         let known = |(class, ap): (&'a String, &std::collections::BTreeMap<String, Option<f64>>)| {
             Some((class.as_str(), ap.get(iou).copied().flatten()?))
@@ -52,6 +75,7 @@ impl<'a> Scored<'a> {
         let whole = accuracy.mean_ap.get(iou).copied().flatten();
         let intervals = run.result.intervals.as_ref();
         Some(Scored {
+            at,
             name,
             run,
             // Where classes have no objects, the mean of the others, as tables say it.
@@ -61,17 +85,14 @@ impl<'a> Scored<'a> {
         })
     }
 
-    fn is_alone(&self) -> bool {
-        self.run.result.cooperation.is_none()
-    }
-
-    /// What it was scored on: protocol, logs and egos.
-    fn scope(&self) -> (Option<&str>, BTreeSet<&str>, BTreeSet<&str>) {
+    /// What it was scored on: protocol, logs and egos, and how many sweeps where somebody ended it.
+    fn scope(&self) -> Scope<'_> {
         let result = &self.run.result;
         (
             result.protocol.as_deref(),
             result.logs.iter().map(String::as_str).collect(),
             result.egos.iter().map(String::as_str).collect(),
+            result.ended_by.as_ref().map(|_| result.frames.key),
         )
     }
 
@@ -83,6 +104,8 @@ impl<'a> Scored<'a> {
     }
 }
 
+type Scope<'a> = (Option<&'a str>, BTreeSet<&'a str>, BTreeSet<&'a str>, Option<u64>);
+
 fn ranking(scored: &[Scored], iou: &str) -> String {
     let mut order: Vec<&Scored> = scored.iter().collect();
     order.sort_by(|a, b| b.mean.total_cmp(&a.mean));
@@ -90,10 +113,22 @@ fn ranking(scored: &[Scored], iou: &str) -> String {
     match order.as_slice() {
         [] => "No run was scored: the log has no truth, or the graph has no evaluator.".into(),
         [only] => format!("{} reaches mAP {} at IoU {iou}.", only.name, only.value()),
-        [first, second, ..] if three(first.mean) == three(second.mean) => format!(
-            "{} and {} are level, at mAP {:.3} at IoU {iou}.",
-            first.name, second.name, first.mean
-        ),
+        [first, second, ..] if three(first.mean) == three(second.mean) => {
+            let level = order
+                .iter()
+                .take_while(|one| three(one.mean) == three(first.mean))
+                .count();
+            let last = order.last().filter(|_| level < order.len());
+            let last = last.map_or(String::new(), |last| {
+                format!("; last is {} with {:.3}", last.name, last.mean)
+            });
+            let names = match level {
+                2 => format!("{} and {}", first.name, second.name),
+                _ if level == order.len() => format!("All {level} runs"),
+                _ => format!("{}, {} and {} more", first.name, second.name, level - 2),
+            };
+            format!("{names} are level, at mAP {:.3} at IoU {iou}{last}.", first.mean)
+        }
         [first, second, ..] => {
             let last = order.last().filter(|_| order.len() > 2);
             let last = last.map_or(String::new(), |last| {
@@ -121,12 +156,13 @@ fn ranking(scored: &[Scored], iou: &str) -> String {
 
 /// What runs have been scored on that is not the same for all.
 fn apart(scored: &[&Scored]) -> String {
-    let (protocol, logs, egos) = scored[0].scope();
+    let (protocol, logs, egos, ended) = scored[0].scope();
     let all = |is_same: &dyn Fn(&Scored) -> bool| scored.iter().all(|one| is_same(one));
     let parts = [
         ("logs", all(&|one| one.scope().1 == logs)),
         ("egos", all(&|one| one.scope().2 == egos)),
         ("protocol", all(&|one| one.scope().0 == protocol)),
+        ("sweeps", all(&|one| one.scope().3 == ended)),
     ];
     let apart: Vec<&str> = parts.iter().filter(|(_, same)| !same).map(|(name, _)| *name).collect();
     apart.join(" and ")
@@ -144,11 +180,28 @@ fn certainty(first: &Scored, second: &Scored) -> &'static str {
     }
 }
 
-/// Fused minus ego alone, for each run that fuses, over the same logs; nothing without a run of the ego alone.
-fn margins(scored: &[Scored]) -> Option<String> {
-    let alone = scored.iter().find(|scored| scored.is_alone())?;
-    let is_comparable = |scored: &&Scored| !scored.is_alone() && scored.scope() == alone.scope();
-    let mut fused: Vec<&Scored> = scored.iter().filter(is_comparable).collect();
+/// Runs of the ego alone that have a sentence of their own.
+const MOST_ALONE: usize = 4;
+
+/// Fused minus ego alone, for each run that fuses, in a sentence for each run of the ego alone.
+fn margins(scored: &[Scored], against: &[Against]) -> Vec<String> {
+    let alone: Vec<&Scored> = scored.iter().filter(|one| is_alone(one.run)).collect();
+    let of = |alone: &&Scored| margin(alone, scored, against);
+    let mut said: Vec<String> = alone.iter().filter_map(of).collect();
+    if said.len() > MOST_ALONE {
+        let more = said.len() - MOST_ALONE;
+        said.truncate(MOST_ALONE);
+        said.push(format!(
+            "Margins over {more} more runs of the ego alone are in the table."
+        ));
+    }
+    said
+}
+
+/// What fusing gained and harmed over one run of the ego alone.
+fn margin(alone: &Scored, scored: &[Scored], against: &[Against]) -> Option<String> {
+    let is_compared = |one: &&Scored| against[one.at].against == Some(alone.at);
+    let mut fused: Vec<&Scored> = scored.iter().filter(is_compared).collect();
     fused.sort_by(|a, b| b.mean.total_cmp(&a.mean));
     if fused.is_empty() {
         return None;
@@ -159,7 +212,12 @@ fn margins(scored: &[Scored]) -> Option<String> {
     if fused.len() > MOST {
         all.push(format!("{} more in the table", fused.len() - MOST));
     }
-    let harm: Vec<String> = fused.iter().flat_map(|fused| harmed(fused, alone)).take(MOST).collect();
+    let mut harm: Vec<String> = fused.iter().flat_map(|fused| harmed(fused, alone)).collect();
+    if harm.len() > MOST {
+        let more = harm.len() - MOST;
+        harm.truncate(MOST);
+        harm.push(format!("{more} more in the table"));
+    }
     let harm = match harm.is_empty() {
         true => "no class became worse".into(),
         false => format!("worse than the ego alone: {}", harm.join(", ")),
@@ -169,6 +227,46 @@ fn margins(scored: &[Scored]) -> Option<String> {
         alone.name,
         all.join(", ")
     ))
+}
+
+/// Runs that fuse and have no run of the ego alone to compare with, though there are some.
+fn without_margin(scored: &[Scored], against: &[Against]) -> Option<String> {
+    const MOST: usize = 4;
+    let mut by_reason: std::collections::BTreeMap<&str, Vec<&str>> = Default::default();
+    for one in scored {
+        if let Some(what) = against[one.at].no_margin {
+            by_reason.entry(what).or_default().push(one.name);
+        }
+    }
+    let in_words = |(what, names): (&&str, &Vec<&str>)| {
+        let more = names.len().saturating_sub(MOST);
+        let few = names[..names.len().min(MOST)].join(", ");
+        let more = if more > 0 {
+            format!(" and {more} more")
+        } else {
+            String::new()
+        };
+        format!("No margin for {few}{more}: no run of the ego alone here has the same {what}.")
+    };
+    let said: Vec<String> = by_reason.iter().map(in_words).collect();
+    (!said.is_empty()).then(|| said.join(" "))
+}
+
+/// Runs that somebody ended before their logs.
+fn ended(runs: &[(&str, &Run)]) -> Option<String> {
+    const MOST: usize = 4;
+    let by = |(name, run): &(&str, &Run)| {
+        let result = &run.result;
+        let by = result.ended_by.as_ref()?;
+        Some(format!("{name} by {by}, after {} scored sweeps", result.frames.key))
+    };
+    let mut all: Vec<String> = runs.iter().filter_map(by).collect();
+    if all.len() > MOST {
+        let more = all.len() - MOST;
+        all.truncate(MOST);
+        all.push(format!("{more} more"));
+    }
+    (!all.is_empty()).then(|| format!("Ended before the log was: {}.", all.join("; ")))
 }
 
 /// Classes in which a run is worse than the ego alone.
@@ -335,10 +433,70 @@ mod tests {
         let said = sentences(&[("none", &none), ("late", &late)]);
         assert_eq!(said.len(), 2, "no margin over another log");
         let said = &said[0];
+        assert!(
+            said.ends_with("No margin for late: no run of the ego alone here has the same logs."),
+            "{said}"
+        );
         assert!(said.starts_with("late has the highest score"), "{said}");
         assert!(
             said.contains("not of the same logs, so") && !said.contains("is best"),
             "{said}"
+        );
+    }
+
+    #[test]
+    fn a_run_is_compared_with_the_ego_alone_of_its_own_log() {
+        let on = |log: &str, mut run: Run| {
+            run.result.logs = vec![log.into()];
+            run
+        };
+        // Over log a fusing harms; the ego alone over log b is far worse than that over log a.
+        let (late_a, none_a) = (on("a", run(0.7, 0.7, true)), on("a", run(0.8, 0.8, false)));
+        let (late_b, none_b) = (on("b", run(0.5, 0.5, true)), on("b", run(0.4, 0.4, false)));
+        let other = on("c", run(0.6, 0.6, true));
+        let said = sentences(&[
+            ("late a", &late_a),
+            ("late b", &late_b),
+            ("none b", &none_b),
+            ("none a", &none_a),
+            ("late c", &other),
+        ]);
+        assert_eq!(
+            said[1..3],
+            [
+                "Margin over the ego alone (none b): late b +0.100; no class became worse.",
+                "Margin over the ego alone (none a): late a -0.100; worse than the ego alone: late a on pedestrian (-0.100), late a \
+                 on vehicle (-0.100). No margin for late c: no run of the ego alone here has the same logs.",
+            ]
+        );
+    }
+
+    #[test]
+    fn runs_that_are_level_are_counted_and_the_best_come_first() {
+        let (low, high) = (run(0.5, 0.5, true), run(0.7, 0.7, true));
+        let same = [("r1", &high), ("r10", &high), ("r11", &high)];
+        assert_eq!(sentences(&same)[0], "All 3 runs are level, at mAP 0.700 at IoU 0.5.");
+        let all = [("r0", &low), ("r1", &high), ("r10", &high), ("r11", &high)];
+        assert_eq!(
+            sentences(&all)[0],
+            "r1, r10 and 1 more are level, at mAP 0.700 at IoU 0.5; last is r0 with 0.500."
+        );
+        let mut silent = run(0.9, 0.9, true);
+        silent.result.accuracy = None;
+        assert_eq!(by_score(&[("s", &silent), all[0], all[1], all[2]]), [2, 3, 1, 0]);
+    }
+
+    #[test]
+    fn a_run_that_somebody_ended_is_named_and_not_ranked_with_whole_ones() {
+        let (mut late, none) = (run(0.9, 0.5, true), run(0.6, 0.6, false));
+        late.result.ended_by = Some("Ctrl-C".into());
+        late.result.frames.key = 7;
+        let said = sentences(&[("none", &none), ("late", &late)]);
+        assert!(said[0].contains("not of the same sweeps"), "{said:?}");
+        assert!(said[0].contains("No margin for late"), "{said:?}");
+        assert_eq!(
+            said[1],
+            "Ended before the log was: late by Ctrl-C, after 7 scored sweeps."
         );
     }
 

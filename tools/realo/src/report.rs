@@ -66,9 +66,12 @@ pub fn main(args: &Args) -> Result<Outcome> {
     println!(
         "{}: {}; open it in a browser",
         args.output.display(),
-        in_words(&page, args.runs.len())
+        in_words(&page, page.runs)
     );
-    Ok(Outcome::Complete)
+    Ok(match page.failed {
+        0 => Outcome::Complete,
+        _ => Outcome::Partial,
+    })
 }
 
 fn in_words(page: &realo_page::Page, runs: usize) -> String {

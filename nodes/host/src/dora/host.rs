@@ -22,7 +22,7 @@ use self::outbox::Outbox;
 use super::edges::Edge;
 use super::inbox::{Heard, Inbox};
 use super::load::Load;
-use super::marks::{End, Fates, Hello};
+use super::marks::{End, Fates, Hello, Known};
 use super::{HostError, source};
 pub(super) use shared::{Shared, State};
 
@@ -36,8 +36,6 @@ const FATES: Nanos = 500_000_000;
 const LINGER: Nanos = 1_000_000_000;
 /// So long a process that ends waits for who watches the run.
 const TO_SEE: Duration = Duration::from_millis(200);
-/// Marks of a process that are remembered, to know those that come on a second way.
-const REMEMBERED: usize = 64;
 
 /// A process that has joined dora.
 pub(super) struct Joined {
@@ -104,7 +102,7 @@ pub(super) fn run(joined: Joined) -> Result<(), HostError> {
         last_hello: 0,
         last_fates: wall_now(),
         number: 0,
-        known: Known::default(),
+        known: Known::new(&shared.id),
         ended: BTreeSet::new(),
         returning,
     };
@@ -357,7 +355,8 @@ impl Host {
         }
         state.engine.merge_books(&books);
         if let Some(fates) = fates {
-            self.known.report(&mut state, fates);
+            let new = self.known.take(fates);
+            state.engine.hear(&new);
         }
         Ok(())
     }
@@ -408,17 +407,21 @@ impl Host {
         let shared = self.shared.clone();
         let mut state = shared.lock();
         let fates = state.engine.take_fates();
-        if fates.is_empty() {
+        let passed = self.known.pass();
+        if fates.is_empty() && passed.is_empty() {
             return Ok(None);
         }
         let mark = Fates {
             origin: shared.id.clone(),
             number: self.number,
             fates,
+            passed,
         };
         self.number += 1;
         if let Some(tap) = &shared.tap {
-            tap.see_fates(&mark.fates);
+            for said in std::iter::once(&mark).chain(&mark.passed) {
+                tap.see_fates(&said.fates);
+            }
         }
         let clock = state.engine.clock();
         let open = shared.exits.keys().filter(|exit| !self.ended.contains(*exit));
@@ -473,30 +476,16 @@ fn deliver(
 ) -> Result<(), String> {
     for message in ready {
         match Fates::of(&message)? {
-            Some(fates) => known.report(state, fates),
+            Some(fates) => {
+                let new = known.take(fates);
+                state.engine.hear(&new);
+            }
             None => inputs
                 .iter()
                 .for_each(|(stage, port)| state.engine.deliver(*stage, *port, message.clone())),
         }
     }
     Ok(())
-}
-
-/// By process: the numbers of fates that have come.
-#[derive(Default)]
-struct Known(BTreeMap<String, BTreeSet<u64>>);
-
-impl Known {
-    /// Takes fates to the sinks, unless they came on another way already.
-    fn report(&mut self, state: &mut State, fates: Fates) {
-        let numbers = self.0.entry(fates.origin).or_default();
-        if numbers.insert(fates.number) {
-            state.engine.report(fates.fates);
-        }
-        while numbers.len() > REMEMBERED {
-            numbers.pop_first();
-        }
-    }
 }
 
 fn first_line(text: &str) -> String {

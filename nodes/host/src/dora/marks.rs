@@ -1,5 +1,7 @@
 //! What drivers say to each other: hello, fates, end.
 
+use std::collections::{BTreeMap, BTreeSet};
+
 use dora_node_api::{MetadataParameters, Parameter};
 use realo_operator::Books;
 use realo_schemas::report::Fated;
@@ -28,7 +30,7 @@ pub(super) struct End {
     pub clock: Option<Clock>,
 }
 
-/// What stages of a process, or of those above it, said of messages over links.
+/// What stages of a process said of messages over links, and with it what came from the processes above it.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub(super) struct Fates {
     /// The process that put them together.
@@ -37,6 +39,58 @@ pub(super) struct Fates {
     pub number: u64,
     /// What was said.
     pub fates: Vec<Fated>,
+    /// What others said, each as it came: by its origin and number a process knows it on every way, round a circle too.
+    #[serde(default, skip_serializing_if = "Vec::is_empty")]
+    pub passed: Vec<Fates>,
+}
+
+/// What processes said of messages over links: what of it has come, and what is still to be passed on.
+#[derive(Default)]
+pub(super) struct Known {
+    /// This process, whose own word may come back to it.
+    own: String,
+    /// By process: the newest numbers that have come.
+    numbers: BTreeMap<String, BTreeSet<u64>>,
+    /// What others said, not yet passed on.
+    passing: Vec<Fates>,
+}
+
+/// Marks of a process that are remembered, to know those that come on a second way.
+const REMEMBERED: usize = 64;
+
+impl Known {
+    pub fn new(own: &str) -> Self {
+        Known {
+            own: own.into(),
+            ..Known::default()
+        }
+    }
+
+    /// Takes a mark; gives what is new of it.
+    pub fn take(&mut self, mut mark: Fates) -> Vec<Fated> {
+        let passed = std::mem::take(&mut mark.passed);
+        let mut new = Vec::new();
+        for said in std::iter::once(mark).chain(passed) {
+            if said.origin == self.own {
+                continue;
+            }
+            let numbers = self.numbers.entry(said.origin.clone()).or_default();
+            let is_new = numbers.insert(said.number);
+            while numbers.len() > REMEMBERED {
+                numbers.pop_first();
+            }
+            if is_new && !said.fates.is_empty() {
+                new.extend(said.fates.iter().cloned());
+                self.passing.push(said);
+            }
+        }
+        new
+    }
+
+    /// What others said since the last call.
+    pub fn pass(&mut self) -> Vec<Fates> {
+        std::mem::take(&mut self.passing)
+    }
 }
 
 /// A message beside a stream, which opens dora's routes before the first message.
@@ -145,6 +199,12 @@ mod tests {
                 r#use: None,
                 entry: None,
             }],
+            passed: vec![Fates {
+                origin: "v2x".into(),
+                number: 5,
+                fates: Vec::new(),
+                passed: Vec::new(),
+            }],
         };
         let mut books = Books::default();
         let node = NodeBooks {
@@ -168,6 +228,75 @@ mod tests {
         assert!(!Hello::is_in(&message));
         assert_eq!(Fates::of(&message), Ok(Some(fates)));
         assert_eq!(message.header.hop, 4);
+    }
+
+    /// Processes, each with what it was told, and how its marks are numbered.
+    struct Net {
+        known: Vec<Known>,
+        told: Vec<Vec<u64>>,
+        numbers: Vec<u64>,
+    }
+
+    impl Net {
+        fn new(names: &[&str]) -> Self {
+            Net {
+                known: names.iter().map(|name| Known::new(name)).collect(),
+                told: vec![Vec::new(); names.len()],
+                numbers: vec![0; names.len()],
+            }
+        }
+
+        /// A process passes on what it said and what came to it.
+        fn pass(&mut self, from: usize, said: &[u64], to: &[usize]) {
+            let of = |seq: &u64| Fated {
+                message: Crossing {
+                    from: "rsu1".into(),
+                    to: "cav1".into(),
+                    kind: Kind::Boxes,
+                    seq: *seq,
+                },
+                fate: Fate::Used,
+                r#use: None,
+                entry: None,
+            };
+            let mark = Fates {
+                origin: self.known[from].own.clone(),
+                number: self.numbers[from],
+                fates: said.iter().map(of).collect(),
+                passed: self.known[from].pass(),
+            };
+            self.numbers[from] += 1;
+            for to in to {
+                let new = self.known[*to].take(mark.clone());
+                self.told[*to].extend(new.iter().map(|fated| fated.message.seq));
+            }
+        }
+    }
+
+    #[test]
+    fn what_is_said_comes_once_on_however_many_ways_and_round_a_circle() {
+        // a to b and c, both to d, which leads back to a and b.
+        let mut net = Net::new(&["a", "b", "c", "d"]);
+        for round in 0..50 {
+            let seq = 10 * round;
+            net.pass(0, &[seq], &[1, 2]);
+            net.pass(1, &[seq + 1], &[3]);
+            net.pass(2, &[], &[3]);
+            net.pass(3, &[seq + 3], &[0, 1]);
+        }
+        for (place, own) in [0, 1, 2, 3].into_iter().enumerate() {
+            let told = &mut net.told[place];
+            told.sort_unstable();
+            let mut once = told.clone();
+            once.dedup();
+            assert_eq!(*told, once, "process {place}");
+            assert!(
+                told.iter().all(|seq| seq % 10 != own),
+                "its own word does not come back"
+            );
+        }
+        assert_eq!(net.told[3].len(), 100, "all of a and b");
+        assert_eq!(net.told[0].len(), 100, "all of b and d");
     }
 
     #[test]

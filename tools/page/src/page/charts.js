@@ -61,7 +61,15 @@ function lines(series, x, y) {
   return picture;
 }
 
-/** Bars that are made of parts, one for each row: `{ name, parts: [[what, value, color] …] }`. */
+/** A fill for one of many things: six hues, then the same with stripes in four directions. */
+function fill(at, share = 100) {
+  const hue = `var(--agent${at % 6})`;
+  const color = share === 100 ? hue : `color-mix(in srgb, ${hue} ${share}%, var(--card))`;
+  const turn = [null, 45, 135, 0, 90][Math.floor(at / 6) % 5];
+  return turn === null ? color : `repeating-linear-gradient(${turn}deg, ${color} 0 5px, var(--card) 5px 8px)`;
+}
+
+/** Bars that are made of parts, one for each row: `{ name, parts: [[what, value, color, mark] …] }`; a mark stands on its part. */
 function stacks(rows, unit, share) {
   const drawn = rows.filter((row) => row.parts.some(([, value]) => value > 0));
   if (!drawn.length) return null;
@@ -70,9 +78,9 @@ function stacks(rows, unit, share) {
   const number = (value) => (value < 100 && value % 1 ? value.toFixed(1) : count(value));
   return el("div", { class: "stacks" }, drawn.map((row, at) => [
     el("div", { class: "row" }, el("b", {}, row.name), el("span", {}, `${number(totals[at])} ${unit}`)),
-    el("div", { class: "track" }, row.parts.filter(([, value]) => value > 0).map(([what, value, color]) => {
+    el("div", { class: "track" }, row.parts.filter(([, value]) => value > 0).map(([what, value, color, mark]) => {
       const words = `${what}: ${number(value)} ${unit}`;
-      return el("i", { title: words, "aria-label": words, role: "img", style: `width:${100 * value / (share ? totals[at] : most)}%;background:${color}` });
+      return el("i", { title: words, "aria-label": words, role: "img", style: `width:${100 * value / (share ? totals[at] : most)}%;background:${color}` }, mark ? el("b", {}, mark) : null);
     })),
   ]));
 }
@@ -121,7 +129,7 @@ function drawCharts() {
   charts.push(
     binChart("Recall by distance", `${of}; found share of the objects, of all scores`, "precision_recall_by_range", found, (bin) => `${bin.true} of ${bin.total}`, "m from the ego"),
     binChart("Precision by distance", `${of}; true share of the detections of all scores`, "precision_recall_by_range", (bin) => bin.true / (bin.true + bin.false), (bin) => `${bin.true} of ${bin.true + bin.false}`, "m from the ego"),
-    binChart("Recall by own points", `${of}; few points: far or hidden from the ego`, "recall_by_points", found, (bin) => `${bin.true} of ${bin.total}`, "points of the ego on the object"),
+    binChart("Recall by own points", `${of}; few points: far or hidden from the ego. How much of an object is occluded is not in logs and results`, "recall_by_points", found, (bin) => `${bin.true} of ${bin.total}`, "points of the ego on the object"),
     ageChart(of), countsChart(of), missedChart(of), offsetChart(of), hitMaps(),
   );
   byId("grid").replaceChildren(...charts);
@@ -148,27 +156,33 @@ function sweepsOf(run) {
 
 const ofClass = (one) => !asked.klass || one.klass === asked.klass;
 
+/** Widths of bins of ages, ms, and how many bins there are at most. */
+const AGE_STEPS = [50, 100, 200, 500, 1000, 2000, 5000, 10000, 60000, Infinity], MOST_BINS = 8;
+/** Objects of a bin that is drawn, at least. */
+const FEW_OBJECTS = 10;
+
 /** Recall of what the ego hardly sees, by the age of the oldest data that were fused. */
 function ageChart(of) {
-  const series = DOC.runs.map((run, at) => {
-    const bins = new Map();
-    for (const [, sweep] of run.alone ? [] : sweepsOf(at)) {
-      const ages = sweep.used.map(([, , age]) => age / 10);
-      if (!ages.length) continue;
-      const bin = Math.floor(Math.max(...ages) / 50) * 50 + 25;
-      const counts = bins.get(bin) || [0, 0];
-      for (const object of sweep.objects) {
-        if (!object.counts || !ofClass(object) || object.hidden === false) continue;
-        counts[0] += object.foundBy ? 1 : 0;
-        counts[1] += 1;
-      }
-      bins.set(bin, counts);
-    }
-    const points = [...bins].filter(([, [, total]]) => total >= 10).sort(([a], [b]) => a - b);
-    return seriesOf(at, points.map(([bin, [found, total]]) => [bin, found / total, `${found} of ${total}`]), { dots: true });
+  const sweeps = DOC.runs.map((run, at) => (run.alone ? [] : sweepsOf(at)).filter(([, sweep]) => sweep.used.length).map(([, sweep]) => {
+    const objects = sweep.objects.filter((object) => object.counts && ofClass(object) && object.hidden !== false);
+    return [Math.max(...sweep.used.map(([, , age]) => age / 10)), objects.filter((object) => object.foundBy).length, objects.length];
+  }));
+  const ages = sweeps.flat().map(([age]) => age);
+  const bin = (age, step) => Math.floor(age / step);
+  const [low, high] = [ages.reduce((a, b) => Math.min(a, b), Infinity), ages.reduce((a, b) => Math.max(a, b), -Infinity)];
+  const step = AGE_STEPS.find((width) => bin(high, width) - bin(low, width) < MOST_BINS);
+  const first = bin(low, step);
+  const names = ages.length ? Array.from({ length: bin(high, step) - first + 1 }, (_, at) => `${(first + at) * step}–${(first + at + 1) * step}`) : [];
+  const series = sweeps.map((own, run) => {
+    const points = names.map((name, at) => {
+      const here = own.filter(([age]) => bin(age, step) - first === at);
+      const [found, total] = [sum(here.map(([, n]) => n)), sum(here.map(([, , n]) => n))];
+      return [at, found / total, `${found} of ${total}, ${name} ms`, total];
+    });
+    return seriesOf(run, points.filter(([, , , total]) => total >= FEW_OBJECTS), { dots: true });
   });
-  return figure("Recall by age", `${of}; objects that the ego hardly sees, by the oldest data fused, in this scene${scoreWords()}`,
-    DOC.runs.every((run) => run.result.mode === "offline") ? null : lines(series, { label: "age, ms" }, { label: "", low: 0, high: 1 }),
+  return figure("Recall by age", `${of}; objects that the ego hardly sees, by the age of the oldest data fused, in this scene${scoreWords()}; ages with ${FEW_OBJECTS} objects or more`,
+    DOC.runs.every((run) => run.result.mode === "offline") ? null : lines(series, { label: "age, ms", low: -0.2, high: names.length - 0.8, names }, { label: "", low: 0, high: 1 }),
     "Nothing is late: these runs are offline, or fuse nothing, or have too few objects.");
 }
 
@@ -383,7 +397,7 @@ function bytesOverTime() {
 function bytesFigure() {
   const rows = DOC.runs.map((run) => ({
     name: run.name,
-    parts: channelsOf(run).map(({ link, kind, books }, at) => [`${link}, ${kind}`, books.bytes / 1000 / Math.max(1, run.result.frames.total), `var(--agent${at % 6})`]),
+    parts: channelsOf(run).map(({ link, kind, books }, at) => [`${link}, ${kind}`, books.bytes / 1000 / Math.max(1, run.result.frames.total), fill(at)]),
   }));
   return figure("KB for each sweep of the ego", "By channel, in the order of the table below; 1 KB is 1,000 bytes", stacks(rows, "KB", false), "Nothing was sent for fusion.");
 }
@@ -403,19 +417,25 @@ function cdf(title, what, pick, none) {
 /** Whether stages took time in a run. */
 const hasLatency = (run) => run.result.mode !== "offline" && (run.result.mode === "realtime" || run.result.compute);
 
+/** What results say of the machine that took this time. */
+function machineWords() {
+  const isas = [...new Set(DOC.runs.filter(hasLatency).map((run) => run.result.isa).filter(Boolean))];
+  return `Times are those of the machine of each run, which results do not name${isas.length ? `; kernels of the networks: ${isas.join(", ")}` : ""}.`;
+}
+
 function stageFigure() {
   const stages = [...new Set(DOC.runs.flatMap((run) => Object.keys(run.timing.joining)))];
   const rows = DOC.runs.filter(hasLatency).map((run) => ({
     name: run.name,
     parts: stages.flatMap((stage, at) => {
       const p50 = (of) => ((run.timing[of] || {})[stage] || {}).p50 || 0;
-      const color = `var(--agent${at % 6})`;
-      return [[`${stage}: waited for partners`, p50("joining"), `color-mix(in srgb, ${color} 35%, var(--card))`], [`${stage}: waited for the stage`, p50("waiting"), `color-mix(in srgb, ${color} 65%, var(--card))`], [`${stage}: computed`, p50("latency"), color]];
+      const part = (what, of, share) => [`${stage}: ${what}`, p50(of), fill(at, share), String(at + 1)];
+      return [part("waited for partners", "joining", 35), part("waited for the stage", "waiting", 65), part("computed", "latency", 100)];
     }),
   }));
   const picture = stacks(rows, "ms", false);
   return figure("Where the time goes", "Medians on the way of the ego's boxes; pale: waiting for partners, half: waiting for a busy stage, full: computing",
-    picture && el("div", {}, picture, partsKey(stages.map((stage, at) => [stage, `var(--agent${at % 6})`]))), "Stages take no time in these runs: they are offline, or virtual without --compute.", true);
+    picture && el("div", {}, picture, partsKey(stages.map((stage, at) => [`${at + 1} ${stage}`, fill(at)])), el("p", { class: "muted hint" }, machineWords())), "Stages take no time in these runs: they are offline, or virtual without --compute.", true);
 }
 
 function overTime() {

@@ -3,6 +3,8 @@
 
 /** Sweeps that the page keeps, and those of them with points. */
 const KEPT = 600, KEPT_CLOUDS = 150;
+/** Numbers of tracks that the page keeps; each picture brings its own. */
+const KEPT_TRACKS = 20000;
 /** Between two tries to reach the server, ms. */
 const AGAIN = 1000;
 /** Between two drawings of what changes slowly, ms. */
@@ -97,6 +99,7 @@ function takePicture(buffer) {
   addUsed(seq, live.used.get(seq) || []);
   live.used.delete(seq);
   of.agents = head.agents;
+  of.tracks = Object.keys(of.tracks || {}).length > KEPT_TRACKS ? { ...head.tracks } : Object.assign(of.tracks || {}, head.tracks);
   DOC.classes = head.classes;
   seqs.push(seq);
   for (const { agent, t, from, points } of head.clouds) {

@@ -34,12 +34,16 @@ function sweepsInWords(of) {
   return here < recorded ? `${count(here)} of ${count(recorded)} recorded sweeps` : "All recorded sweeps";
 }
 
-/** The runs that are shown at first: the first, and beside it the ego alone, else the second. */
+/** The runs that are shown at first: the first, and beside it the ego alone, if there is one the one that it is compared with; else the second. */
 function firstRuns() {
-  const runs = scene().runs.map((_, run) => run);
-  const alone = runs.slice(1).find((run) => DOC.runs[scene().runs[run].run].alone);
+  const all = scene().runs, runs = all.map((_, run) => run);
+  const { against } = DOC.runs[all[0].run];
+  const alone = runs.slice(1).find((run) => (known(against) ? all[run].run === against : DOC.runs[all[run].run].alone));
   return alone === undefined ? runs.slice(0, 2) : [0, alone];
 }
+
+/** The number of a track as the log or the run has it. */
+const trackName = (of, place) => (of.tracks || {})[place] ?? String(place);
 
 const seqNow = () => timeline()[state.at];
 
@@ -69,7 +73,8 @@ function judge(of, run, seq, iou) {
   const boxes = (frame.boxes || []).map((row, index) => {
     const code = row[9 + iou];
     const object = code >= 0 ? objects[code] : null;
-    const box = { kind: "box", index, klass: DOC.classes[row[0]], score: row[1] / 1000, box: row.slice(2, 9), code, object };
+    const [id, ...velocity] = row.slice(9 + of.ious.length);
+    const box = { kind: "box", index, klass: DOC.classes[row[0]], score: row[1] / 1000, box: row.slice(2, 9), code, object, id: id ?? -1, velocity: velocity.length ? velocity : null };
     box.fate = code === FALSE ? "false" : code === NOT_COUNTED ? "other" : code === NOT_JUDGED ? "hit"
       : object.hidden && used.length ? "added" : "hit";
     // Boxes are matched by falling score: without those of lower scores the others find the same.
@@ -87,15 +92,29 @@ function judge(of, run, seq, iou) {
   };
 }
 
-/** Whether the filters let a box or an object through. */
-function passes(one) {
+/** Whether the chosen class and agent let a box or an object through. */
+function chosen(one) {
   if (state.klass && one.klass !== state.klass) return false;
-  if (state.hidden.has(one.fate)) return false;
   if (state.agent >= 0) {
     const object = one.kind === "object" ? one : one.object;
     return Boolean(object && object.points[state.agent] > 0);
   }
   return true;
+}
+
+/** Whether the filters let a box or an object through. */
+const passes = (one) => !state.hidden.has(one.fate) && chosen(one);
+
+/** The counts of a sweep, of the chosen class and agent. */
+function countsOf(sweep) {
+  if (!state.klass && state.agent < 0) return sweep.counts;
+  const n = (list, fate) => list.filter((one) => one.fate === fate && chosen(one)).length;
+  return { hit: n(sweep.boxes, "hit"), added: n(sweep.boxes, "added"), false: n(sweep.boxes, "false"), missed: n(sweep.objects, "missed") };
+}
+
+/** The chosen class and agent in words that follow others. */
+function filterWords() {
+  return [state.klass && `of the class ${state.klass}`, state.agent >= 0 && `with points of ${scene().agents[state.agent].name}`].filter(Boolean).map((words) => `, ${words}`).join("");
 }
 
 // --- Places -------------------------------------------------------------------------------------------------------
@@ -389,6 +408,39 @@ function label(context, text, x, y, color, align = "center", weight = 600) {
   context.fillText(text, x, y);
 }
 
+/** Sweeps of a trail, and the smallest speed that is drawn, cm/s. */
+const TRAIL = 20, MOVES = 50;
+
+/** Where boxes that a run follows were before, their numbers, and how far they go in a second. */
+function drawTracks(context, project, of, pane, sweep) {
+  const shown = sweep.boxes.filter((box) => (box.id >= 0 || box.velocity) && passes(box));
+  if (!shown.length) return;
+  const trails = new Map(shown.map((box) => [box.id, []]));
+  const seqs = timeline();
+  for (let at = Math.max(0, state.at - TRAIL); at <= state.at; at++) {
+    const then = judged(of, pane.run, seqs[at]);
+    for (const box of then ? then.boxes : []) {
+      if (box.id >= 0 && trails.has(box.id)) trails.get(box.id).push(inMap(then.pose, box.box[0], box.box[1], box.box[2] - box.box[5] / 2));
+    }
+  }
+  for (const box of shown) {
+    const [color] = STYLES[box.fate]();
+    const trail = trails.get(box.id);
+    if (box.id >= 0 && trail.length > 1) {
+      line(context, project, trail);
+      stroke(context, color, 1.6, [], 0.6);
+    }
+    const [x, y, z, , , height] = box.box;
+    if (box.velocity && Math.hypot(...box.velocity) >= MOVES) {
+      line(context, project, [inMap(sweep.pose, x, y, z), inMap(sweep.pose, x + box.velocity[0], y + box.velocity[1], z)]);
+      stroke(context, color, 1.6, [2, 2]);
+    }
+    const at = project(...inMap(sweep.pose, x, y, state.view === "top" ? 0 : z + height / 2));
+    // From far off numbers would cover each other.
+    if (box.id >= 0 && at && camera.scale * at[2] > 3) label(context, trackName(of, box.id), at[0] + 9, at[1] - 7, color, "left", 500);
+  }
+}
+
 function drawAgents(context, project, of, sweep, shared) {
   const poses = [...(shared.poses || [])];
   poses[0] = sweep ? sweep.pose : poses[0];
@@ -464,6 +516,7 @@ function drawPane(pane) {
     for (const object of sweep.objects) if (object.fate !== "missed") show(object, object.counts ? "there" : "other");
     for (const object of sweep.objects) if (object.fate === "missed") show(object, "missed");
     for (const box of sweep.boxes) show(box, box.fate, box.fate === "false");
+    drawTracks(context, project, of, pane, sweep);
   }
   drawAgents(context, project, of, sweep, shared);
   const picked = pickedIn(pane, sweep);
@@ -486,12 +539,16 @@ function drawPane(pane) {
   pane.said.textContent = inWords(sweep);
 }
 
+/** What is shown of a sweep, counted: hidden fates are left out. */
 function inWords(sweep) {
   if (!sweep) return NONE;
-  if (!sweep.known) return `${sweep.boxes.length} boxes, nothing known of what is there`;
-  const { hit, added, missed } = sweep.counts;
-  const gained = added ? ` (${added} with few points of the ego)` : "";
-  return `${hit + added} found${gained} · ${sweep.counts.false} false · ${missed} missed`;
+  if (!sweep.known) return `${sweep.boxes.filter(passes).length} boxes${filterWords()}, nothing known of what is there`;
+  const { hit, added, missed, false: wrong } = countsOf(sweep);
+  const shows = (fate) => !state.hidden.has(fate);
+  const gained = shows("added") && added ? ` (${added} with few points of the ego)` : "";
+  const found = (shows("hit") ? hit : 0) + (shows("added") ? added : 0);
+  const parts = [(shows("hit") || shows("added")) && `${found} found${gained}`, shows("false") && state.agent < 0 && `${wrong} false`, shows("missed") && `${missed} missed`].filter(Boolean);
+  return parts.length ? parts.join(" · ") + filterWords() : "all is hidden";
 }
 
 // --- The story of a box -------------------------------------------------------------------------------------------
@@ -545,7 +602,7 @@ function story() {
   const object = first.kind === "object" ? first : first.object;
   const facts = [["class", first.klass], ["size", first.box.slice(3, 6).map((cm) => (cm / 100).toFixed(1)).join(" × ") + " m"],
     ["distance from ego", (Math.hypot(first.box[0], first.box[1]) / 100).toFixed(1) + " m"]];
-  if (object && object.track >= 0) facts.push(["track", String(object.track)]);
+  if (object && object.track >= 0) facts.push(["track of the log", trackName(scene(), object.track)]);
   if (object && object.points.length) {
     scene().agents.forEach((agent, at) => facts.push([`points of ${agent.name}`, count(object.points[at] || 0)]));
   }
@@ -554,6 +611,8 @@ function story() {
     const found = one.kind === "box" ? one : one.foundBy;
     const lines = [["verdict", WORDS[one.fate]]];
     if (found) lines.push(["score", found.score.toFixed(3)]);
+    if (found && found.id >= 0) lines.push(["track of the run", trackName(scene(), found.id)]);
+    if (found && found.velocity) lines.push(["speed", (Math.hypot(...found.velocity) / 100).toFixed(1) + " m/s"]);
     if (found && found.object) lines.push(["centre off by", offBy(found, found.object).toFixed(2) + " m"]);
     if (one.fate === "missed") lines.push(["why", whyMissed(one)]);
     const sources = contributors(sweep, object);
@@ -728,11 +787,8 @@ function setView(view) {
 function makeFilters() {
   const of = scene();
   const scenes = DOC.scenes.map((one, at) => [at, `${one.log}, ego ${one.ego}`]);
-  const classes = [...new Set(of.runs.flatMap((run) => Object.values(run.frames).slice(0, 400).flatMap((frame) => (frame.boxes || []).map((row) => DOC.classes[row[0]]))
-    .concat(Object.values(of.frames).slice(0, 400).flatMap((frame) => (frame.objects || []).map(([row]) => DOC.classes[row[0]]))))
-    // One that was chosen elsewhere can be taken off.
-    .concat(state.klass || []))].sort();
-  const again = (change) => (value) => { change(value); draw(); keepPlace(); };
+  const classes = classesIn(of);
+  const again = (change) => (value) => { change(value); filtersChosen(); };
   const views = segments([["top", "From above"], ["3d", "3D"]], state.view, setView);
   transport.views = views;
   transport.follow = el("button", { type: "button", "aria-pressed": String(state.follow), title: "The ego stays in the middle", onclick: () => { setFollow(!state.follow); if (!state.follow) camera.turn = extent().turn; draw(); keepPlace(); } }, "Follow ego");
@@ -740,12 +796,42 @@ function makeFilters() {
     ...(scenes.length > 1 ? [choice("Scene", scenes, state.scene, (at) => openScene(at))] : []),
     views, transport.follow,
     el("button", { type: "button", onclick: () => { fitView(); draw(); keepPlace(); } }, "Whole scene"),
-    choice("Class", [["", "all"], ...classes.map((name) => [name, name])], state.klass, again((value) => { state.klass = value; })),
+    choice("Class", [["", "all"], ...classes], state.klass, again((value) => { state.klass = value; })),
     choice("Points of", [[-1, "anyone"], ...of.agents.map((agent, at) => [at, agent.name])], state.agent, again((value) => { state.agent = value; })),
     choice("Score", SCORES.map((least) => [least, least ? `≥ ${least}` : "any"]), state.score, again(setScore)),
-    choice("IoU", of.ious.map((iou, at) => [at, iou]), state.iou, again((value) => { state.iou = value; drawStrip(); })),
+    choice("IoU", of.ious.map((iou, at) => [at, iou]), state.iou, again((value) => { state.iou = value; })),
     ...(of.runs.length > 1 ? [runButtons(of)] : []),
+    transport.note = el("span", { class: "hint muted" }),
   );
+  noteFilters();
+}
+
+/** The classes of a scene, each with its name in the list: those that are scored in the order of the protocol, then others. */
+function classesIn(of) {
+  const few = (frames) => Object.values(frames).slice(0, 400);
+  const there = new Set(of.runs.flatMap((run) => few(run.frames).flatMap((frame) => (frame.boxes || []).map((row) => DOC.classes[row[0]])))
+    .concat(few(of.frames).flatMap((frame) => (frame.objects || []).map(([row]) => DOC.classes[row[0]]))));
+  const scored = of.scored || [];
+  const others = [...there].filter((name) => !scored.includes(name)).sort();
+  // One that was chosen elsewhere can be taken off.
+  const elsewhere = state.klass && !there.has(state.klass) ? [state.klass] : [];
+  return [...[...scored.filter((name) => there.has(name)), ...elsewhere].map((name) => [name, name]), ...others.map((name) => [name, scored.length ? `${name} (not scored)` : name])];
+}
+
+/** What a filter hides without its being asked for. */
+function noteFilters() {
+  transport.note.textContent = state.agent >= 0 ? "False boxes are not shown: no object is there, so nobody has points on one." : "";
+}
+
+/** Hears that another class or agent was chosen. */
+let filtersChanged = () => {};
+
+function filtersChosen() {
+  noteFilters();
+  draw();
+  drawStrip();
+  keepPlace();
+  filtersChanged();
 }
 
 /** Chooses a score: boxes of lower ones are as if they were not there. */
@@ -794,6 +880,9 @@ function makeTransport() {
   );
 }
 
+/** Whether a run follows boxes over time. */
+const hasTracks = (of) => of.runs.some((run) => Object.values(run.frames).some((frame) => (frame.boxes || []).some((row) => row[9 + of.ious.length] >= 0)));
+
 function makeLegend() {
   const line = (color, dash, width = 2, fill = "none") => svg("svg", { width: 26, height: 14, "aria-hidden": "true" },
     svg("rect", { x: 2, y: 2, width: 22, height: 10, fill, "fill-opacity": 0.4, stroke: `var(--${color})`, "stroke-width": width, "stroke-dasharray": dash }),
@@ -802,11 +891,13 @@ function makeLegend() {
     ["hit", line("hit", ""), "found"], ["added", line("added", "", 2, "var(--added-fill)"), `found, though the ego has fewer than ${scene().seen_points} points on it and others were fused`],
     ["false", line("wrong", ""), "false"], ["missed", line("wrong", "5 3"), "missed object"],
     [null, line("truth", "2 2", 1.2), "object that was found"], ["other", line("muted", "1 3", 1), "not counted"],
+    ...(hasTracks(scene()) ? [[null, svg("svg", { width: 26, height: 14, "aria-hidden": "true" }, svg("path", { d: "M1 11C9 11 14 4 25 4", fill: "none", stroke: "var(--hit)", "stroke-width": 1.6, opacity: 0.6 })),
+      "where a box that the run follows was in the 20 sweeps before, with its number; dashes: how far it goes in a second"]] : []),
   ];
   byId("legend").replaceChildren(...marks.map(([fate, mark, words]) => el("span", {}, fate
     ? el("label", { style: "display:inline-flex;gap:6px;align-items:center" }, el("input", { type: "checkbox", checked: !state.hidden.has(fate), onchange: (event) => {
       if (event.target.checked) state.hidden.delete(fate); else state.hidden.add(fate);
-      draw(); keepPlace();
+      draw(); drawStrip(); keepPlace();
     } }), mark, words) : [mark, words])));
 }
 
@@ -818,7 +909,7 @@ function drawStrip() {
   const [start, end] = [of.frames[seqs[0]].t, of.frames[seqs.at(-1)].t];
   const x = (t) => 6 + (width - 12) * (t - start) / Math.max(1, end - start);
   const all = state.runs.map((run) => seqs.map((seq) => [of.frames[seq].t, judged(of, run, seq)]).filter(([, sweep]) => sweep && sweep.known)
-    .map(([t, { counts }]) => [t, (counts.hit + counts.added) / (counts.hit + counts.added + counts.missed)]).filter(([, share]) => Number.isFinite(share)));
+    .map(([t, sweep]) => [t, countsOf(sweep)]).map(([t, counts]) => [t, (counts.hit + counts.added) / (counts.hit + counts.added + counts.missed)]).filter(([, share]) => Number.isFinite(share)));
   const least = Math.floor(10 * all.flat().reduce((low, [, share]) => Math.min(low, share), 0.9)) / 10;
   const y = (share) => 50 - 44 * (share - least) / (1 - least);
   const drawn = all.map((points, at) => (points.length ? svg("path", { d: "M" + points.map(([t, share]) => `${x(t).toFixed(1)} ${y(share).toFixed(1)}`).join("L"),
@@ -833,7 +924,7 @@ function drawStrip() {
     play(false);
     seek(seqs.reduce((best, seq, at) => (Math.abs(of.frames[seq].t - t) < Math.abs(of.frames[seqs[best]].t - t) ? at : best), 0));
   });
-  byId("strip").replaceChildren(drawing, el("p", { class: "hint muted" }, `Found share of the objects in each sweep${scoreWords()}: from ${least} (lower line) to 1 (upper line). Click to go there.`));
+  byId("strip").replaceChildren(drawing, el("p", { class: "hint muted" }, `Found share of the objects in each sweep${filterWords()}${scoreWords()}${state.hidden.size ? ", with what is hidden" : ""}: from ${least} (lower line) to 1 (upper line). Click to go there.`));
   moveCursor();
 }
 
@@ -935,6 +1026,8 @@ function show(seq, picked) {
   state.picked = picked;
   seek(Math.max(0, timeline().indexOf(seq)));
   byId("player").scrollIntoView();
+  // Keys are for the player from now on, not for what was clicked.
+  if (panes.length) panes[0].canvas.focus({ preventScroll: true });
 }
 
 function onKey(event) {

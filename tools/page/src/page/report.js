@@ -19,24 +19,38 @@ function meanOf(run, iou) {
   return values.length ? sum(values) / values.length : null;
 }
 
+/** Runs that have a card. */
+const MOST_CARDS = 12;
+
+/** The run of the ego alone that a run is compared with. */
+const aloneOf = (run) => (known(run.against) ? DOC.runs[run.against] : null);
+
 function verdict() {
   const names = DOC.runs.map((run) => run.name);
   byId("title").textContent = names.length > 4 ? `${names.slice(0, 3).join(", ")} and ${names.length - 3} more` : names.join(" · ");
   const [first] = DOC.runs;
   const shared = (pick) => { const all = [...new Set(DOC.runs.map(pick))]; return all.length === 1 ? all[0] : null; };
   const logs = shared((run) => run.result.logs.join(", "));
+  const ended = DOC.runs.filter((run) => run.result.ended_by);
   const facts = [shared((run) => run.result.mode), shared((run) => run.result.link) && shared((run) => run.result.mode) !== "offline" && `link ${first.result.link}`,
     logs && (first.result.logs.length > 3 ? `${first.result.logs.length} logs` : `log ${logs}`), shared((run) => run.result.ego) && `ego ${first.result.ego}`,
     shared((run) => run.result.model) && `model ${first.result.model}`, shared((run) => run.result.protocol) && `protocol ${first.result.protocol}`,
-    `${plural(first.result.frames.key, "scored sweep")}`];
+    `${plural(first.result.frames.key, "scored sweep")}`,
+    ended.length && (ended.length === DOC.runs.length ? `ended by ${[...new Set(ended.map((run) => run.result.ended_by))].join(", ")} before the log was` : `${plural(ended.length, "run")} ended before the log was`)];
   byId("what").textContent = facts.filter(Boolean).join(" · ");
-  byId("scoreboard").replaceChildren(...DOC.runs.slice(0, 12).map((run, at) => {
+  const score = (run) => meanOf(run, DOC.iou) ?? -1;
+  const places = DOC.runs.map((_, at) => at);
+  // A few stay as they were named, in the order of the table.
+  const order = places.length > MOST_CARDS ? places.sort((a, b) => score(DOC.runs[b]) - score(DOC.runs[a])) : places;
+  byId("scoreboard").replaceChildren(...order.slice(0, MOST_CARDS).map((at) => {
+    const run = DOC.runs[at];
     const interval = intervalsOf(run) && intervalsOf(run).mAP[DOC.iou];
     const classes = accuracyOf(run) ? Object.entries(accuracyOf(run).AP).filter(([, ap]) => known(ap[DOC.iou])) : [];
     return el("div", { class: "score", style: `--c:${runColor(at)}` }, el("span", { class: "name" }, run.name), el("b", {}, fixed(meanOf(run, DOC.iou))),
       el("small", {}, `mAP at IoU ${DOC.iou}${interval ? `, 95 %: ${fixed(interval[0])}–${fixed(interval[1])}` : ""}`),
-      el("small", {}, classes.map(([klass, ap]) => `${klass} ${fixed(ap[DOC.iou], 2)}`).join(" · ")));
-  }));
+      el("small", {}, classes.map(([klass, ap]) => `${klass} ${fixed(ap[DOC.iou], 2)}`).join(" · ")),
+      run.result.ended_by ? el("small", {}, `ended by ${run.result.ended_by}, after ${plural(run.result.frames.key, "scored sweep")}`) : null);
+  }), DOC.runs.length > MOST_CARDS ? el("p", { class: "muted", style: "flex-basis:100%;margin:0" }, `The ${MOST_CARDS} best of ${DOC.runs.length} runs; the table has all.`) : "");
   byId("sentences").replaceChildren(...DOC.verdict.map((sentence) => el("li", {}, sentence)));
   if (DOC.left_out.length) {
     byId("omitted").hidden = false;
@@ -50,7 +64,7 @@ function scores() {
   const rows = [];
   const add = (name, pick, places = 3, better = 1, small = () => null, written = fixed) => {
     const values = DOC.runs.map(pick);
-    if (!values.some(known)) return;
+    if (!values.some(known) && !DOC.runs.some(small)) return;
     const numbers = values.filter(known);
     const best = DOC.runs.length > 1 && better && numbers.length > 1 ? better * Math.max(...numbers.map((value) => better * value)) : null;
     rows.push(el("tr", {}, el("td", {}, name), DOC.runs.map((run, at) => el("td", { class: known(best) && fixed(values[at], places) === fixed(best, places) ? "best" : null },
@@ -58,7 +72,13 @@ function scores() {
   };
   const group = (name) => rows.push(el("tr", { class: "group" }, el("td", { colspan: DOC.runs.length + 1 }, name)));
   const bounds = (pair) => pair && `${fixed(pair[0])}–${fixed(pair[1])}`;
-  const alone = DOC.runs.find((run) => run.alone);
+  // Each over the ego alone of its own logs, or none.
+  const all = new Set(DOC.runs.map(aloneOf).filter(Boolean));
+  const margin = (iou) => (run) => {
+    const [own, alone] = [meanOf(run, iou), aloneOf(run) && meanOf(aloneOf(run), iou)];
+    return known(own) && known(alone) ? own - alone : null;
+  };
+  const over = (run) => (run.no_margin ? `no run of the ego alone has the same ${run.no_margin}` : aloneOf(run) && all.size > 1 ? `over ${aloneOf(run).name}` : null);
   for (const iou of iousOf()) {
     group(`Average precision at IoU ${iou}`);
     add("mean over classes", (run) => meanOf(run, iou), 3, 1, (run) => bounds(intervalsOf(run) && intervalsOf(run).mAP[iou]));
@@ -66,7 +86,7 @@ function scores() {
       add(klass, (run) => accuracyOf(run) && (accuracyOf(run).AP[klass] || {})[iou], 3, 1, (run) => bounds(intervalsOf(run) && (intervalsOf(run).AP[klass] || {})[iou]));
     }
     add("objects that the ego itself sees", (run) => run.result.accuracy_seen && run.result.accuracy_seen.sorted.mAP[iou]);
-    if (alone && DOC.runs.length > 1) add("margin over the ego alone", (run) => (run === alone || !known(meanOf(run, iou)) || !known(meanOf(alone, iou)) ? null : meanOf(run, iou) - meanOf(alone, iou)), 3, 1, () => null, signed);
+    add("margin over the ego alone", margin(iou), 3, all.size > 1 ? 0 : 1, over, signed);
   }
   group("Cost and time");
   const field = (name) => (run) => (run.fields[name] === "" || !known(run.fields[name]) ? null : Number(run.fields[name]));
@@ -89,11 +109,12 @@ const more = (heads, words, rows) => (words ? el("details", {}, el("summary", {}
 function addedObjects() {
   const section = byId("added");
   const of = DOC.scenes.length ? scene() : null;
-  const alone = of ? of.runs.findIndex((run) => DOC.runs[run.run].alone) : -1;
-  const fused = of ? of.runs.map((_, at) => at).filter((at) => !DOC.runs[of.runs[at].run].alone) : [];
-  section.hidden = alone < 0 || !fused.length;
+  const beside = (run) => of.runs.findIndex((one) => known(DOC.runs[of.runs[run].run].against) && one.run === DOC.runs[of.runs[run].run].against);
+  const fused = of ? of.runs.map((_, at) => at).filter((at) => beside(at) >= 0) : [];
+  section.hidden = !fused.length;
   if (section.hidden) return;
   const parts = fused.slice(0, 3).map((run) => {
+    const alone = beside(run);
     const tracks = new Map();
     for (const seq of timeline()) {
       const [own, both] = [judged(of, alone, seq), judged(of, run, seq)];
@@ -101,7 +122,7 @@ function addedObjects() {
       const before = new Map(own.objects.map((object) => [object.track, object]));
       for (const object of both.objects) {
         const other = before.get(object.track);
-        if (!object.counts || object.track < 0 || !other) continue;
+        if (!object.counts || object.track < 0 || !other || !chosen(object)) continue;
         const track = tracks.get(object.track) || { klass: object.klass, sweeps: 0, own: 0, both: 0, points: [], seq: null, lost: null };
         track.sweeps += 1;
         track.own += other.foundBy ? 1 : 0;
@@ -114,7 +135,7 @@ function addedObjects() {
     }
     const all = [...tracks].map(([track, facts]) => ({ track, ...facts, gain: facts.both - facts.own }));
     const rows = (list, at) => list.map((one) => [
-      el("button", { type: "button", title: "Show it in the player", onclick: () => show(at(one), { kind: "object", run, seq: at(one), index: 0, track: one.track }) }, `${one.klass} ${one.track}`),
+      el("button", { type: "button", title: "Show it in the player", onclick: () => show(at(one), { kind: "object", run, seq: at(one), index: 0, track: one.track }) }, `${one.klass} ${trackName(of, one.track)}`),
       count(one.sweeps), count(one.own), count(one.both), one.points.length ? count(quantile(one.points, 0.5)) : NONE]);
     const gained = all.filter((one) => one.gain > 0 && one.seq !== null).sort((a, b) => b.gain - a.gain);
     const harmed = all.filter((one) => one.gain < 0 && one.lost !== null).sort((a, b) => a.gain - b.gain);
@@ -127,15 +148,15 @@ function addedObjects() {
       more(heads, gained.length > FEW && `${plural(gained.length - FEW, "object")} more`, rows(gained.slice(FEW, MOST_ADDED), (one) => one.seq)),
       more(heads, harmed.length && `${plural(harmed.length, "object")} found in fewer sweeps`, rows(harmed.slice(0, MOST_ADDED), (one) => one.lost)));
   });
-  section.replaceChildren(el("h2", {}, "What cooperation added"), el("p", { class: "muted" }, `${sweepsInWords(of)} of ${of.log}, ego ${of.ego}, at IoU ${of.ious[state.iou]}${scoreWords()}, object by object; a click on one shows it.${fused.length > 3 ? ` The first 3 of ${fused.length} runs with cooperation.` : ""} A table has ${MOST_ADDED} objects at most.`), ...parts);
+  section.replaceChildren(el("h2", {}, "What cooperation added"), el("p", { class: "muted" }, `${sweepsInWords(of)} of ${of.log}, ego ${of.ego}, at IoU ${of.ious[state.iou]}${scoreWords()}, object by object${filterWords()}; a click on one shows it.${fused.length > 3 ? ` The first 3 of ${fused.length} runs with cooperation.` : ""} A table has ${MOST_ADDED} objects at most.`), ...parts);
 }
 
 // --- What was run -------------------------------------------------------------------------------------------------
 
-const SETTINGS = ["graph", "graph_hash", "mode", "coop", "link", "compute", "seed", "project", "pose_source", "precomputed", "model", "isa", "set", "programs", "rate", "protocol", "ended_by"];
+const SETTINGS = ["program", "graph", "graph_hash", "mode", "coop", "link", "compute", "seed", "project", "pose_source", "precomputed", "model", "isa", "set", "programs", "rate", "protocol", "ended_by"];
 
 function settings() {
-  const value = (run, name) => String(run.result[name] ?? "");
+  const value = (run, name) => String((name === "program" ? run.program : run.result[name]) ?? "");
   const rows = SETTINGS.filter((name) => DOC.runs.some((run) => value(run, name))).map((name) => [name.replace("_", " "), ...DOC.runs.map((run) => value(run, name) || NONE)]);
   rows.push(["logs", ...DOC.runs.map((run) => (run.result.logs.length > 5 ? `${run.result.logs.length} logs` : run.result.logs.join(", ") || NONE))],
     ["egos", ...DOC.runs.map((run) => run.result.egos.join(", ") || NONE)], ["agents", ...DOC.runs.map((run) => run.result.agents.join(", ") || NONE)]);
@@ -245,5 +266,6 @@ charts();
 settings();
 navigation();
 repainted.push(drawMaps);
+filtersChanged = addedObjects;
 sceneOpened = () => { addedObjects(); drawCharts(); drawFlows(); navigation(); };
 addEventListener("resize", drawMaps);

@@ -31,6 +31,7 @@ class Node {
   querySelector(tag) { return this.all(tag)[0] || null; }
   getBoundingClientRect() { return { left: 0, top: 0, width: 800, height: 400 }; }
   scrollIntoView() {}
+  focus() { Node.focused = this; }
   setPointerCapture() {}
   getContext() { return (this.context ||= canvasContext()); }
 }
@@ -66,7 +67,7 @@ export function open({ scripts = ["tools.js", "player.js", "charts.js", "report.
   page.lastTimer = 0;
   const root = new Node("html");
   const document = {
-    documentElement: root, activeElement: null, title: "",
+    documentElement: root, get activeElement() { return Node.focused ?? null; }, title: "",
     getElementById: (id) => (named.has(id) && !named.get(id).isGone ? named.get(id) : null),
     createElement: (tag) => new Node(tag),
     createElementNS: (_, tag) => new Node(tag),

@@ -4,7 +4,7 @@ import assert from "node:assert/strict";
 import test from "node:test";
 
 import { open } from "./browser.mjs";
-import { report, run, scene } from "./documents.mjs";
+import { report, run, scene, scores } from "./documents.mjs";
 
 const plain = (value) => JSON.parse(JSON.stringify(value));
 const page = open({ data: report({ scenes: [scene()] }) });
@@ -145,4 +145,69 @@ test("a page of a hundred runs, and of a run that nobody scored, draws itself", 
   assert.equal(of.byId("scoreboard").all("div").length, 12);
   assert.ok(of.byId("title").textContent.includes("97 more"));
   assert.ok(new Set(Array.from({ length: 36 }, (_, at) => of.value(`runColor(${at}) + runDash(${at})`))).size === 36, "colour and dash together differ");
+});
+
+const rowsOf = (table) => table.all("tr").map((row) => row.nodes.map((cell) => cell.textContent));
+
+test("a margin is one over the ego alone of the run's own logs, or none with its reason", () => {
+  const of = (name, mean, more) => run(name, { result: scores(mean), ...more });
+  const runs = [of("late a", 0.7, { against: 3 }), of("late b", 0.5, { against: 2 }), of("none b", 0.4, { alone: true }), of("none a", 0.8, { alone: true }), of("late c", 0.6, { no_margin: "logs" })];
+  const all = rowsOf(open({ data: report({ runs }) }).byId("table"));
+  assert.deepEqual(all.find(([name]) => name === "margin over the ego alone").slice(1), ["−0.100over none a", "+0.100over none b", "–", "–", "–no run of the ego alone has the same logs"]);
+  const two = rowsOf(open({ data: report({ runs: [of("late", 0.7, { against: 1 }), of("none", 0.8, { alone: true })] }) }).byId("table"));
+  assert.deepEqual(two.find(([name]) => name === "margin over the ego alone").slice(1), ["−0.100", "–"]);
+  const apart = rowsOf(open({ data: report({ runs: [of("late", 0.7, { no_margin: "protocol" }), of("none", 0.8, { alone: true })] }) }).byId("table"));
+  assert.equal(apart.find(([name]) => name === "margin over the ego alone")[1], "–no run of the ego alone has the same protocol");
+});
+
+test("what cooperation added is asked of the ego alone that a run is compared with", () => {
+  const of = scene();
+  // Another run of the ego alone, which comes first and finds everything.
+  const blind = { ...of.runs[0], run: 2 };
+  const runs = [run("late", { against: 1 }), run("none", { alone: true }), run("other", { alone: true })];
+  const rows = rowsOf(open({ data: report({ runs, scenes: [scene({ runs: [of.runs[0], blind, of.runs[1]] })] }) }).byId("added"));
+  assert.deepEqual(rows[1].slice(0, 4), ["pedestrian 8", "10", "0", "7"]);
+});
+
+test("the best runs have cards, in their order, and one that was ended says so", () => {
+  const runs = Array.from({ length: 14 }, (_, at) => run(`r${at}`, { result: { ...scores(at / 20), ...(at === 13 ? { ended_by: "Ctrl-C" } : {}) } }));
+  const of = open({ data: report({ runs }) });
+  const cards = of.byId("scoreboard").all("div").map((card) => card.textContent);
+  assert.equal(cards.length, 12);
+  assert.ok(cards[0].startsWith("r13") && cards[11].startsWith("r2"), cards.join());
+  assert.ok(cards[0].includes("ended by Ctrl-C, after 10 scored sweeps") && !cards[1].includes("ended"), cards[0]);
+  assert.ok(of.byId("scoreboard").textContent.includes("The 12 best of 14 runs"));
+  assert.ok(of.byId("what").textContent.includes("1 run ended before the log was"));
+  const one = open({ data: report({ runs: [run("late", { result: { ended_by: "Ctrl-C" } })] }) });
+  assert.ok(one.byId("what").textContent.includes("ended by Ctrl-C before the log was"));
+});
+
+test("ages are drawn as the spans that they are in", () => {
+  const of = scene();
+  for (let seq = 0; seq < 10; seq++) {
+    of.frames[seq].objects.push(...Array.from({ length: 9 }, (_, at) => [[1, 3000, 100 * at, 80, 400, 200, 160, 0, 20 + at, 1], [0, 9]]));
+    of.runs[0].frames[seq].used = [[1, 2, seq < 5 ? 1496 : 2610, seq]];
+  }
+  const drawn = open({ data: report({ scenes: [of] }) }).value('ageChart("all classes")');
+  const texts = drawn.all("text").map((text) => text.textContent);
+  for (const words of ["100–150", "150–200", "200–250", "250–300"]) assert.ok(texts.includes(words), texts.join());
+  assert.ok(!texts.some((text) => text.includes("125")), texts.join());
+  assert.deepEqual(drawn.all("circle").map((dot) => dot.all("title")[0].textContent), ["late: 2 of 50, 100–150 ms", "late: 5 of 50, 250–300 ms"]);
+  // One span alone is one name.
+  for (let seq = 0; seq < 10; seq++) of.runs[0].frames[seq].used = [[1, 2, 1496, seq]];
+  const one = open({ data: report({ scenes: [of] }) }).value('ageChart("all classes")').all("text").map((text) => text.textContent);
+  assert.deepEqual(one.filter((text) => text.includes("–")), ["100–150"]);
+  // A wide spread has few spans.
+  of.runs[0].frames[9].used = [[1, 2, 90000, 9]];
+  const wide = open({ data: report({ scenes: [of] }) }).value('ageChart("all classes")').all("text").map((text) => text.textContent);
+  assert.ok(wide.filter((text) => text.includes("–")).length <= 8, wide.join());
+});
+
+test("each of many stages has a fill of its own, and its number on its bars", () => {
+  assert.equal(new Set(Array.from({ length: 30 }, (_, at) => page.value(`fill(${at})`))).size, 30);
+  const stages = Object.fromEntries(Array.from({ length: 8 }, (_, at) => [`stage ${at}`, { p50: 5 }]));
+  const busy = open({ data: report({ runs: [run("late", { result: { mode: "realtime", isa: "avx2" }, timing: { latency: stages, waiting: {}, joining: stages } })] }) });
+  const drawn = busy.value("stageFigure()");
+  assert.deepEqual(drawn.all("i").filter((part) => part.getAttribute("title")).map((part) => part.textContent).filter((_, at) => at % 2), ["1", "2", "3", "4", "5", "6", "7", "8"]);
+  assert.ok(drawn.textContent.includes("8 stage 7") && drawn.textContent.includes("kernels of the networks: avx2"), drawn.textContent);
 });

@@ -18,9 +18,12 @@ export const run = (name, more = {}) => ({
   ...Object.fromEntries(Object.entries(more).filter(([key]) => key !== "result")),
 });
 
+/** Scores of a run whose mean is this. */
+export const scores = (mean) => ({ accuracy: { sorted: { mAP: { "0.5": mean }, AP: { vehicle: { "0.5": mean } }, counts: {} } } });
+
 export function report(more = {}) {
   return {
-    version: 1, program: "realo", verdict: [], iou: "0.5", differences: [], runs: [run("late"), run("none", { alone: true })], classes: ["vehicle", "pedestrian"],
+    version: 1, program: "realo", verdict: [], iou: "0.5", differences: [], runs: [run("late", { against: 1 }), run("none", { alone: true })], classes: ["vehicle", "pedestrian"],
     scenes: [], points: [], left_out: [], words: WORDS, ...more,
   };
 }
@@ -41,6 +44,6 @@ export function scene(more = {}) {
   const of = (number, own) => ({ run: number, recorded: 10, frames: own, messages: [], carried: [] });
   return {
     log: "log", ego: "cav1", start: "0", agents: [{ name: "cav1", roadside: false, footprint: [-100, 350, -90, 90] }, { name: "rsu1", roadside: true, footprint: null }],
-    region: [-10000, 10000, -4000, 4000], protocol: "default", ious: ["0.3", "0.5"], seen_points: 10, frames, runs: [of(0, late), of(1, none)], ...more,
+    region: [-10000, 10000, -4000, 4000], protocol: "default", scored: ["vehicle", "pedestrian"], tracks: {}, ious: ["0.3", "0.5"], seen_points: 10, frames, runs: [of(0, late), of(1, none)], ...more,
   };
 }

@@ -34,7 +34,7 @@ function picture(seq, clouds = []) {
   const head = {
     seq, start: "0", agents: [{ name: "cav1", roadside: false, footprint: null }, { name: "rsu1", roadside: true, footprint: null }], classes: ["vehicle"], clouds: index,
     frame: { t: 100 * seq, key: true, poses: [[100 * seq, 0, 0, 0], [2000, 0, 0, 0]], objects: [object(0, 10, 2, 7, [2, 9])] },
-    run: { boxes: [box(0, 900, 10, 2, 0, 0)], known: true },
+    run: { boxes: [box(0, 900, 10, 2, 0, 0)], known: true }, tracks: { 7: "41" },
   };
   let text = JSON.stringify(head);
   if (new TextEncoder().encode(text).length % 2) text += " ";
@@ -56,6 +56,7 @@ test("pictures are shown as they come, with their points", () => {
   assert.deepEqual(plain(page.value("[live.pictures, live.points, timeline(), state.at]")), [5, 15, [0, 1, 2, 3, 4], 4]);
   const points = [...page.value("pointsOf(cloudNear('log', 'rsu1', 300))")];
   [0, 0.5, 0, 1.02, 0.04, 0.06].forEach((metres, at) => assert.ok(Math.abs(points[at] - metres) < 1e-6, points.join()));
+  assert.equal(page.value("trackName(scene(), 7)"), "41");
   page.send(picture(2));
   assert.equal(page.value("live.pictures"), 5, "what is older than the newest is not taken");
 });

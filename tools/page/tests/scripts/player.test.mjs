@@ -360,3 +360,78 @@ test("names are text, whatever they hold", () => {
   assert.ok(page.byId("panes").textContent.includes(name) && page.byId("title").textContent.includes(name));
   assert.deepEqual(page.byId("panes").all("img"), []);
 });
+
+test("the filters reach the counts in the head, the strip and what cooperation added", () => {
+  const page = open({ data: report({ scenes: [scene()] }) });
+  page.value("seek(5)");
+  const heads = () => page.value("panes.map((pane) => pane.said.textContent)");
+  const strip = () => page.byId("strip").all("path").map((path) => path.getAttribute("d"));
+  const added = () => page.byId("added").all("tr").length;
+  assert.deepEqual(plain(heads()), ["2 found (1 with few points of the ego) · 0 false · 0 missed", "1 found · 1 false · 1 missed"]);
+  const [all, rows] = [strip(), added()];
+  const choose = (change) => { page.value(`((change) => { change(); filtersChosen(); })(() => { ${change} })`); };
+  choose("state.klass = 'vehicle'");
+  assert.deepEqual(plain(heads()), ["1 found · 0 false · 0 missed, of the class vehicle", "1 found · 1 false · 0 missed, of the class vehicle"]);
+  assert.notDeepEqual(strip(), all);
+  assert.ok(page.byId("strip").textContent.includes("of the class vehicle"));
+  assert.ok(added() < rows && page.byId("added").textContent.includes("of the class vehicle"), "no vehicle was added");
+  choose("state.klass = ''; state.agent = 0");
+  assert.deepEqual(plain(heads()), ["1 found · 0 missed, with points of cav1", "1 found · 0 missed, with points of cav1"]);
+  assert.ok(page.byId("filters").textContent.includes("False boxes are not shown"));
+  choose("state.agent = -1");
+  assert.ok(!page.byId("filters").textContent.includes("False boxes"));
+  assert.deepEqual(strip(), all);
+  choose("state.hidden = new Set(['added', 'missed'])");
+  assert.deepEqual(plain(heads()), ["1 found · 0 false", "1 found · 1 false"]);
+});
+
+test("the list of classes has those that are scored first, then the others with a word", () => {
+  const of = scene();
+  of.frames[2].objects.push([[2, 100, 100, 80, 400, 200, 160, 0, -1, 0], [3, 3]]);
+  const page = open({ data: report({ scenes: [of], classes: ["pedestrian", "vehicle", "BicycleRider"] }) });
+  assert.deepEqual(plain(page.value("classesIn(scene())")), [["vehicle", "vehicle"], ["pedestrian", "pedestrian"], ["BicycleRider", "BicycleRider (not scored)"]]);
+});
+
+test("tracks have the numbers of the log, and boxes that a run follows their own, with a trail", () => {
+  const of = scene({ tracks: { 7: "18446744073709551615", 9: "4711" } });
+  for (let seq = 0; seq < 10; seq++) of.runs[0].frames[seq].boxes[0] = [...of.runs[0].frames[seq].boxes[0], 9, 300, -400];
+  const page = open({ data: report({ scenes: [of] }) });
+  page.value("state.picked = { kind: 'object', run: 0, seq: 5, index: 0, track: 7 }");
+  page.value("seek(5)");
+  page.value("camera.scale = 8");
+  const calls = (pane) => { page.value(`panes[${pane}].context.calls.length = 0`); page.value("draw()"); return plain(page.value(`panes[${pane}].context.calls`)); };
+  for (const view of ["top", "3d"]) {
+    page.value(`state.view = '${view}'`);
+    const [followed, other] = [calls(0), calls(1)];
+    assert.ok(followed.some(([name, text]) => name === "fillText" && text === "4711"), view);
+    assert.ok(!other.some(([name, text]) => name === "fillText" && text === "4711"), view);
+    // Of a trail of six sweeps five pieces more than without one, and one of the velocity.
+    const pieces = (all) => all.filter(([name]) => name === "lineTo").length;
+    const had = pieces(followed);
+    page.value("(scene().runs[0].frames[5].boxes[0].length = 11, judgedSweeps.clear())");
+    assert.equal(had - pieces(calls(0)), 6, view);
+    page.value("(scene().runs[0].frames[5].boxes[0].push(9, 300, -400), judgedSweeps.clear())");
+  }
+  page.value("draw()");
+  const story = page.byId("story").textContent;
+  for (const words of ["track of the log18446744073709551615", "track of the run4711", "speed5.0 m/s"]) assert.ok(story.includes(words), story);
+  assert.ok(page.byId("legend").textContent.includes("the run follows"));
+  assert.ok(!opened().byId("legend").textContent.includes("the run follows"));
+});
+
+test("after a click on an object that was added Space plays", () => {
+  const page = opened();
+  const button = page.byId("added").all("button")[0];
+  button.focus();
+  button.dispatch("click");
+  assert.equal(page.value("document.activeElement === panes[0].canvas"), true);
+  page.press(" ", { target: { tagName: page.value("document.activeElement.tag").toUpperCase() } });
+  assert.equal(page.value("state.playing"), true);
+});
+
+test("beside a run is the ego alone that it is compared with", () => {
+  const of = scene();
+  const runs = [run("late", { against: 2 }), run("other", { alone: true }), run("none", { alone: true })];
+  const page = open({ data: report({ runs, scenes: [scene({ runs: [of.runs[0], of.runs[1], { ...of.runs[1], run: 2 }] })] }) });
+  assert.deepEqual(plain(page.value("state.runs")), [0, 2]);
+});
