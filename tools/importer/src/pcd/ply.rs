@@ -203,7 +203,7 @@ mod tests {
                 text("float x", "half x"),
                 "property `x`: expected a type as float or uchar, found `half`",
             ),
-            (text("float x", "float a"), "no field `x`"),
+            (text("float x", "float a") + "1 2 3 4\n", "no field `x`"),
             (text("ascii", "json"), "no line `format ascii`"),
             (
                 text("vertex 1", "vertex many"),
