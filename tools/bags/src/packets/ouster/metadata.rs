@@ -89,11 +89,7 @@ impl Format {
             serial: whole(get(if info.is_null() { &root } else { info }, &["prod_sn"])),
             start: whole(get(if info.is_null() { &root } else { info }, &["initialization_id"])),
             ports: ["udp_port_lidar", "udp_port_imu"].map(|name| whole(&config[name]).or(whole(&root[name]))),
-            model: root["prod_line"]
-                .as_str()
-                .or(info["prod_line"].as_str())
-                .unwrap_or("Ouster")
-                .to_string(),
+            model: model_of(&root, info),
             beams: altitudes
                 .into_iter()
                 .zip(azimuths)
@@ -166,6 +162,11 @@ fn get<'a>(root: &'a Value, keys: &[&str]) -> &'a Value {
         .map(|key| &root[*key])
         .find(|value| !value.is_null())
         .unwrap_or(&Value::Null)
+}
+
+fn model_of(root: &Value, info: &Value) -> String {
+    let named = root["prod_line"].as_str().or(info["prod_line"].as_str());
+    named.unwrap_or("Ouster").to_string()
 }
 
 /// A whole number, or a text of one.
