@@ -32,6 +32,12 @@ def sweeps(folder):
 def main(weights, folder, ego, out):
     encoder, head = network.loaded(network.Encoder(), weights), network.loaded(network.Head(), weights)
     fusion, agents = network.Fusion().eval(), sweeps(folder)
+    if ego not in agents:
+        found = f"those of {', '.join(sorted(agents))}" if agents else "none"
+        raise SystemExit(
+            f"{folder}: expected sweeps of `{ego}`, which keep_messages.py keeps while the graph runs, found {found}; run the graph with it "
+            "before the encoders (docs/guide/your-model.md), and name the same EGO"
+        )
     device = next(encoder.parameters()).device
     Path(out).mkdir(parents=True, exist_ok=True)
     for own in agents.pop(ego):

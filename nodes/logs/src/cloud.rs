@@ -86,9 +86,12 @@ pub struct Reading {
 /// Fields of times, by what drivers call them; the first that there is counts.
 const TIMES: [&str; 5] = ["time", "t", "timestamp", "time_stamp", "offset_time"];
 
+/// Fields of intensities, by what drivers call them; the first that there is counts.
+const INTENSITIES: [&str; 4] = ["intensity", "Intensity", "i", "reflectivity"];
+
 /// A cloud whose points are not read yet.
 ///
-/// Takes fields of any numeric type, order and padding. `x`, `y` and `z` must be there; `intensity`, `ring` and times are 0
+/// Takes fields of any numeric type, order and padding. `x`, `y` and `z` must be there; intensities, `ring` and times are 0
 /// where missing.
 pub struct CloudReader<'a> {
     /// The measurement's reference time, ns.
@@ -219,14 +222,23 @@ impl<'a> CloudReader<'a> {
         self.points.count
     }
 
+    fn intensity_field(&self) -> Option<&Field<'a>> {
+        INTENSITIES.iter().find_map(|name| self.find(name))
+    }
+
+    /// The field that intensities are in.
+    pub fn intensity_name(&self) -> Option<&'a str> {
+        self.intensity_field().map(|field| field.name)
+    }
+
     /// Type of the intensities.
     pub fn intensity(&self) -> Option<&'static str> {
-        self.find("intensity").map(Field::type_name)
+        self.intensity_field().map(Field::type_name)
     }
 
     /// The largest finite intensity, where intensities are of another type than a byte and some are above 0.
     pub fn brightest(&self) -> Option<f32> {
-        let field = self.find("intensity").filter(|field| field.datatype != UINT8)?;
+        let field = self.intensity_field().filter(|field| field.datatype != UINT8)?;
         let values = self.points.column::<f32>(field).into_iter();
         values
             .filter(|value| value.is_finite() && *value > 0.0)
@@ -242,7 +254,7 @@ impl<'a> CloudReader<'a> {
         let [x, y, z] = self.places(reading.to.as_ref())?;
         let nothing = points.count;
         let mut limited = 0;
-        let intensity = match self.find("intensity") {
+        let intensity = match self.intensity_field() {
             None => vec![0; nothing],
             Some(field) if field.datatype == UINT8 => points.column::<u8>(field),
             Some(field) => {

@@ -71,6 +71,7 @@ impl Draft {
             draft.agent(group, &spaces, &bags, groups.len());
         }
         draft.remark_shared_poses();
+        draft.remark_worlds();
         if draft.map.world.is_empty() {
             draft.map.world = "map".into();
             draft.world = "no pose names a frame".into();
@@ -167,6 +168,20 @@ impl Draft {
         }
     }
 
+    /// Vehicles whose poses count from where each was switched on are in no common world.
+    fn remark_worlds(&mut self) {
+        let moving = self
+            .map
+            .agents
+            .values()
+            .filter(|agent| !matches!(agent.pose, PoseSource::Fixed(_)));
+        if counts_from_start(&self.map.world) && moving.count() > 1 {
+            self.world.push_str(
+                "; ARE ALL AGENTS IN IT? Where each vehicle's begins at 0, take poses of a common frame (a map, or positions of satellites)",
+            );
+        }
+    }
+
     /// A name for the agent of a group that no other has.
     fn free_name(&self, group: &Group, several: bool, groups: usize) -> String {
         let Group {
@@ -183,6 +198,14 @@ impl Draft {
         let mut names = std::iter::once(wanted.clone()).chain(others);
         names.find(|name| !self.map.agents.contains_key(name)).unwrap_or(wanted)
     }
+}
+
+/// Whether a frame, by its name, mostly begins at 0 where its vehicle was switched on.
+pub fn counts_from_start(frame: &str) -> bool {
+    frame
+        .rsplit('/')
+        .next()
+        .is_some_and(|name| name.to_ascii_lowercase().contains("odom"))
 }
 
 /// What says where an agent is.

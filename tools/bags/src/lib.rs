@@ -23,7 +23,7 @@ mod source;
 mod sqlite;
 mod survey;
 
-pub use draft::{Draft, shortest};
+pub use draft::{Draft, counts_from_start, shortest};
 pub use error::BagError;
 pub use open::{open, recognise};
 pub use packets::decoded;

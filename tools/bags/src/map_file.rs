@@ -2,12 +2,14 @@
 
 use std::collections::BTreeMap;
 use std::fmt;
+use std::marker::PhantomData;
 use std::path::{Path, PathBuf};
 
 use nalgebra::{Isometry3, Translation3, UnitQuaternion};
 use realo_logs::pose::isometry;
 use realo_logs::{AgentKind, Frames, NoWay, bare};
 use realo_schemas::Nanos;
+use serde::de::{MapAccess, Visitor};
 use serde::{Deserialize, Deserializer};
 
 use crate::BagError;
@@ -94,7 +96,7 @@ pub struct AgentMap {
     #[serde(default)]
     pub detections: Option<String>,
     /// Sensors' frames in its frame, where no transform says it: x, y, z in m, roll, pitch, yaw in rad.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "mounts")]
     pub mounts: BTreeMap<String, [f64; 6]>,
     /// What is added to its stamps, s.
     #[serde(default)]
@@ -115,9 +117,10 @@ pub struct MapFile {
     #[serde(default)]
     pub map_origin: Option<[f64; 3]>,
     /// The bags' classes, with those of the log.
-    #[serde(default)]
+    #[serde(default, deserialize_with = "classes")]
     pub classes: BTreeMap<String, String>,
     /// The agents by their names in the log.
+    #[serde(deserialize_with = "agents")]
     pub agents: BTreeMap<String, AgentMap>,
 }
 
@@ -229,6 +232,57 @@ impl AgentMap {
             )
         })
     }
+}
+
+/// A map in which each key is there once.
+struct Once<T> {
+    what: &'static str,
+    value: PhantomData<T>,
+}
+
+impl<'de, T: Deserialize<'de>> Visitor<'de> for Once<T> {
+    type Value = BTreeMap<String, T>;
+
+    fn expecting(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        write!(f, "keys and values in `{}`", self.what)
+    }
+
+    fn visit_map<A: MapAccess<'de>>(self, mut entries: A) -> Result<Self::Value, A::Error> {
+        use serde::de::Error;
+        let mut map = BTreeMap::new();
+        while let Some(key) = entries.next_key::<String>()? {
+            if map.contains_key(&key) {
+                let reason = format!(
+                    "{}: `{}` is there twice; expected each name once",
+                    self.what,
+                    realo_documents::shown(&key).escape_debug()
+                );
+                return Err(A::Error::custom(reason));
+            }
+            map.insert(key, entries.next_value()?);
+        }
+        Ok(map)
+    }
+}
+
+fn once<'de, D: Deserializer<'de>, T: Deserialize<'de>>(
+    deserializer: D,
+    what: &'static str,
+) -> Result<BTreeMap<String, T>, D::Error> {
+    let value = PhantomData;
+    deserializer.deserialize_map(Once { what, value })
+}
+
+fn agents<'de, D: Deserializer<'de>>(deserializer: D) -> Result<BTreeMap<String, AgentMap>, D::Error> {
+    once(deserializer, "agents")
+}
+
+fn classes<'de, D: Deserializer<'de>>(deserializer: D) -> Result<BTreeMap<String, String>, D::Error> {
+    once(deserializer, "classes")
+}
+
+fn mounts<'de, D: Deserializer<'de>>(deserializer: D) -> Result<BTreeMap<String, [f64; 6]>, D::Error> {
+    once(deserializer, "mounts")
 }
 
 #[derive(Deserialize)]
@@ -405,6 +459,32 @@ mod tests {
         assert!(
             mount.contains(&format!("agents.car: mounts.lidar: pitch: {degrees}")),
             "{mount}"
+        );
+    }
+
+    #[test]
+    fn a_name_that_is_there_twice_is_refused() {
+        let car = "  car:\n    clouds: /other\n    frame: base_link\n    pose: tf\n";
+        for (text, expected) in [
+            (format!("{SHORT}{car}"), "agents: `car` is there twice"),
+            (
+                format!("{SHORT}classes: {{a: car, b: car, a: truck}}\n"),
+                "classes: `a` is there twice",
+            ),
+            (
+                format!("{SHORT}    mounts: {{rear: [0, 0, 1, 0, 0, 0], rear: [0, 0, 2, 0, 0, 0]}}\n"),
+                "mounts: `rear` is there twice",
+            ),
+        ] {
+            let error = MapFile::parse(&text).unwrap_err();
+            assert!(error.contains(expected), "{error}");
+        }
+        let other = car.replace("car:", "7:").replace("/other", "/others");
+        assert!(
+            MapFile::parse(&format!("{SHORT}{other}"))
+                .unwrap()
+                .agents
+                .contains_key("7")
         );
     }
 

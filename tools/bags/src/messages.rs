@@ -8,7 +8,7 @@ use realo_logs::motion::{ImuReading, WheelReading};
 use realo_logs::pose::isometry;
 use realo_schemas::{FixQuality, Nanos};
 
-pub use self::boxes::{Object, Objects, detections, markers};
+pub use self::boxes::{Object, Objects, TEXT, detections, markers};
 
 /// Types that are read.
 #[derive(Clone, Copy, Debug, PartialEq, Eq, PartialOrd, Ord)]

@@ -137,6 +137,14 @@ fn what(path: &Path, head: &[u8]) -> String {
         head if head.starts_with(b"\x04\x22\x4d\x18") => unpack("lz4", "lz4 -d"),
         head if head.starts_with(b"PK\x03\x04") => unpack("zip", "unzip"),
         head if head.starts_with(&ZSTD) => unpack("zstd twice", "zstd -d"),
+        [0x80, 2..=5, ..] => {
+            "a pickle of Python, which is never loaded, as loading one runs what is in it; save its arrays as `.npz` (numpy.savez) for \
+             `import numpy`, or record a bag"
+                .into()
+        }
+        head if head.starts_with(b"ply\n") || head.starts_with(b"ply\r") => {
+            "a cloud of PLY; `import opv2v` and `import v2x-real` read such clouds beside their labels".into()
+        }
         head => format!(
             "a file that begins with {:02x?}; the copy may have failed",
             &head[..head.len().min(5)]

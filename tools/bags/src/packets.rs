@@ -19,6 +19,10 @@ pub const UDP: &str = "udp/payload";
 const OUSTER: [&str; 3] = ["ouster_ros/PacketMsg", "ouster_sensor_msgs/PacketMsg", UDP];
 /// The type of messages that hold the packets of a turn of RoboSense.
 const ROBOSENSE: &str = "robosense_msgs/RobosenseScan";
+/// Who makes such sensors.
+const ROBOSENSE_MAKER: &str = "RoboSense";
+/// Bytes of a packet of Velodyne.
+const VELODYNE_BYTES: usize = 1206;
 /// The type of clouds.
 const CLOUD: &str = "sensor_msgs/PointCloud2";
 /// How the name of a topic of decoded clouds ends.
@@ -69,6 +73,13 @@ pub fn decoded(bag: Box<dyn Bag>) -> Result<Box<dyn Bag>, BagError> {
     let (mut sources, mut decoded) = (Vec::new(), Vec::new());
     for (packets, connection) in bag.connections().iter().enumerate() {
         let is_ouster = OUSTER.contains(&&*connection.kind) && !connection.topic.contains("imu");
+        if is_ouster && is_of_imu(bag.as_ref(), connection)? {
+            decoded.push(format!(
+                "`{}` is the port of the inertial unit, by the metadata: its packets are not read",
+                connection.topic
+            ));
+            continue;
+        }
         let how = match (is_ouster, &*connection.kind == ROBOSENSE) {
             _ if connection.messages == 0 => continue,
             (true, _) => of_ouster(bag.as_ref(), packets)?,
@@ -110,6 +121,17 @@ pub fn decoded(bag: Box<dyn Bag>) -> Result<Box<dyn Bag>, BagError> {
     }))
 }
 
+/// Whether a port is that of the inertial unit, by the metadata beside a capture.
+fn is_of_imu(bag: &dyn Bag, connection: &Connection) -> Result<bool, BagError> {
+    if connection.kind != UDP {
+        return Ok(false);
+    }
+    let format = metadata(bag, &connection.topic)?.and_then(|(text, _)| Format::parse(&text).ok());
+    let ports = format.map_or([None; 2], |format| format.ports);
+    let is_port = |port: Option<u64>| port.is_some_and(|port| connection.topic == format!("/udp/{port}"));
+    Ok(is_port(ports[1]) && !is_port(ports[0]))
+}
+
 type Found = Result<(How, String), String>;
 
 /// The packet in a message.
@@ -122,6 +144,17 @@ fn payload<'a>(connection: &Connection, message: &'a Message) -> Result<&'a [u8]
 
 fn of_ouster(bag: &dyn Bag, packets: usize) -> Result<Found, BagError> {
     let connection = &bag.connections()[packets];
+    if let Some(maker) = of_others(bag, packets)? {
+        return Ok(Err(format!(
+            "they are of {maker}, and in captures those of Ouster alone are read; play the capture through the sensor's driver and record \
+             its clouds in a bag{}",
+            if maker == ROBOSENSE_MAKER {
+                ", or its `robosense_msgs/RobosenseScan`, which is read of a Helios 16P"
+            } else {
+                ""
+            }
+        )));
+    }
     let (text, from) = match metadata(bag, &connection.topic)? {
         Some(found) => found,
         None => {
@@ -135,23 +168,11 @@ fn of_ouster(bag: &dyn Bag, packets: usize) -> Result<Found, BagError> {
         Ok(format) => format,
         Err(reason) => return Ok(Err(format!("metadata of {from}: {reason}"))),
     };
-    let mut messages = bag.messages(&BTreeSet::from([packets]))?;
-    let (mut behind, mut wrong) = (None, None);
-    for _ in 0..COMPARED {
-        let Some(message) = messages.next()? else { break };
-        match payload(connection, &message).and_then(|packet| format.last_time(packet)) {
-            Ok(None) => {}
-            Ok(Some(time)) => {
-                behind = Some(behind.map_or(message.log_time - time, |least: Nanos| {
-                    least.min(message.log_time - time)
-                }))
-            }
-            Err(reason) => wrong = Some(reason),
-        }
-    }
-    let Some(behind) = behind else {
-        return Ok(Err(wrong.unwrap_or_else(|| "expected packets, found none".into())));
+    let glance = match Glance::of(bag, packets, &format)? {
+        Ok(glance) => glance,
+        Err(reason) => return Ok(Err(reason)),
     };
+    let behind = glance.behind;
     let (shift, clock) = match behind.abs() < SAME_CLOCK {
         true => (0, "stamps are the sensor's".to_string()),
         false => (
@@ -162,10 +183,101 @@ fn of_ouster(bag: &dyn Bag, packets: usize) -> Result<Found, BagError> {
         ),
     };
     let note = format!(
-        "{}, metadata of {from}, reflectivities as intensities; {clock}",
-        format.words()
+        "{}, metadata of {from}, reflectivities as intensities; {clock}{}",
+        format.words(),
+        glance.words()
     );
     Ok(Ok((How::Ouster(Box::new(format), shift), note)))
+}
+
+/// What the first packets say.
+struct Glance {
+    /// Log time less the sensor's, the smallest, ns.
+    behind: Nanos,
+    packets: usize,
+    /// Packets that came before.
+    doubled: usize,
+    /// Packets of another start of the sensor than the metadata.
+    restarted: usize,
+}
+
+impl Glance {
+    fn of(bag: &dyn Bag, packets: usize, format: &Format) -> Result<Result<Self, String>, BagError> {
+        let connection = &bag.connections()[packets];
+        let mut messages = bag.messages(&BTreeSet::from([packets]))?;
+        let (mut seen, mut behind, mut wrong) = (BTreeSet::new(), None::<Nanos>, Vec::new());
+        let (mut most, mut doubled, mut restarted, mut count) = (0, 0, 0, 0);
+        for _ in 0..COMPARED {
+            let Some(message) = messages.next()? else { break };
+            let looked = payload(connection, &message).and_then(|packet| {
+                let last = format.last(packet)?;
+                Ok((last, format.is_of_other_start(packet)?))
+            });
+            match looked {
+                Ok((None, _)) => {}
+                Ok((Some((time, frame, column)), is_restarted)) => {
+                    let late = message.log_time - time;
+                    behind = Some(behind.map_or(late, |least| least.min(late)));
+                    most = most.max(column);
+                    count += 1;
+                    doubled += usize::from(!seen.insert((frame, column)));
+                    restarted += usize::from(is_restarted);
+                }
+                Err(reason) => wrong.push(reason),
+            }
+        }
+        // A few may be others that came to the same port.
+        let behind = behind.filter(|_| 3 * wrong.len() <= count);
+        let Some(behind) = behind else {
+            return Ok(Err(wrong
+                .pop()
+                .unwrap_or_else(|| "expected packets, found none".into())));
+        };
+        if let Some(reason) = format.too_few_columns(most, seen.len()) {
+            return Ok(Err(reason));
+        }
+        Ok(Ok(Glance {
+            behind,
+            packets: count,
+            doubled,
+            restarted,
+        }))
+    }
+
+    fn words(&self) -> String {
+        let Glance {
+            packets,
+            doubled,
+            restarted,
+            ..
+        } = self;
+        let mut words = String::new();
+        if *doubled > 0 {
+            words.push_str(&format!(
+                "; {doubled} of the first {packets} packets came before: each counts once"
+            ));
+        }
+        if *restarted > 0 {
+            words.push_str("; THE METADATA ARE OF ANOTHER START OF THE SENSOR (initialization_id): see whether its mode was the same");
+        }
+        words
+    }
+}
+
+/// The maker of packets of a capture that are not Ouster's, by how the first ones begin or how long they are.
+fn of_others(bag: &dyn Bag, packets: usize) -> Result<Option<&'static str>, BagError> {
+    if bag.connections()[packets].kind != UDP {
+        return Ok(None);
+    }
+    let mut messages = bag.messages(&BTreeSet::from([packets]))?;
+    let Some(first) = messages.next()? else { return Ok(None) };
+    let packet = first.data();
+    Ok(match packet {
+        _ if robosense::is_packet(packet) => Some(ROBOSENSE_MAKER),
+        [0xff, 0xee, ..] if packet.len() == VELODYNE_BYTES => Some("Velodyne"),
+        [0xee, 0xff, ..] => Some("Hesai"),
+        _ => None,
+    })
 }
 
 /// The metadata of a sensor of Ouster, and where it is from: a topic beside the packets, or a file beside the bag.

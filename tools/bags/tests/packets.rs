@@ -312,3 +312,126 @@ fn packets_without_the_sensors_angles_are_not_read() {
         bag.notes()
     );
 }
+
+/// A capture of packets of UDP over IP, each with the port that it is sent to.
+fn capture_of(packets: &[(u16, Vec<u8>)]) -> Vec<u8> {
+    let mut file = vec![
+        0xd4, 0xc3, 0xb2, 0xa1, 2, 0, 4, 0, 0, 0, 0, 0, 0, 0, 0, 0, 0xff, 0xff, 0, 0, 101, 0, 0, 0,
+    ];
+    for (index, (port, payload)) in packets.iter().enumerate() {
+        let bytes = (payload.len() + 28) as u32;
+        for word in [1_700_000_000, index as u32, bytes, bytes] {
+            file.extend(word.to_le_bytes());
+        }
+        let mut ip = [0; 20];
+        (ip[0], ip[9]) = (0x45, 17);
+        file.extend(ip);
+        for half in [5000, *port, payload.len() as u16 + 8, 0] {
+            file.extend(half.to_be_bytes());
+        }
+        file.extend(payload);
+    }
+    file
+}
+
+/// The payloads of a real capture.
+fn payloads(capture: &Path) -> Vec<(u16, Vec<u8>)> {
+    let bag = open(capture).unwrap();
+    let mut messages = bag.messages(&(0..bag.connections().len()).collect()).unwrap();
+    let mut found = Vec::new();
+    while let Some(message) = messages.next().unwrap() {
+        let topic = &bag.connections()[message.connection].topic;
+        found.push((topic["/udp/".len()..].parse().unwrap(), message.data().to_vec()));
+    }
+    found
+}
+
+#[test]
+fn metadata_of_another_sensor_or_mode_are_refused_and_packets_that_came_twice_count_once() {
+    let Some(capture) = ouster("OS-1-128_v2.3.0_1024x10_first80.pcap") else {
+        return;
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let own = dir.path().join("drive.pcap");
+    let text = fs::read_to_string(capture.with_file_name("OS-1-128_v2.3.0_1024x10.json")).unwrap();
+    let packets = payloads(&capture);
+    fs::write(&own, capture_of(&packets)).unwrap();
+    let opened = |metadata: &str| {
+        fs::write(dir.path().join("drive.json"), metadata).unwrap();
+        decoded(open(&own).unwrap()).unwrap()
+    };
+    // Packets of both are as long.
+    let other = fs::read_to_string(capture.with_file_name("OS-0-32-U1_v2.2.0_1024x10.json")).unwrap();
+    let notes = opened(&other).notes().join("\n");
+    assert!(
+        notes.contains("expected packets of the sensor 992137000142, whose metadata these are, found packets of the sensor 122201000998"),
+        "{notes}"
+    );
+    for (columns, expected) in [
+        ("512", "expected columns 0 to 511 of a turn, found"),
+        ("2048", "expected columns 0 to 2047 of a turn, found none beyond 1023"),
+    ] {
+        let mode = text.replacen(
+            "\"columns_per_frame\": 1024",
+            &format!("\"columns_per_frame\": {columns}"),
+            1,
+        );
+        assert_ne!(mode, text);
+        let mode = mode.replacen("\"column_window\"", "\"window\"", 1);
+        if columns == "2048" {
+            let twice: Vec<_> = packets
+                .iter()
+                .cloned()
+                .chain(packets.iter().cloned().map(later))
+                .collect();
+            fs::write(&own, capture_of(&twice)).unwrap();
+        }
+        let notes = opened(&mode).notes().join("\n");
+        assert!(notes.contains(expected), "{notes}");
+    }
+    let bag = opened(&text.replacen("7109750", "7109751", 1));
+    assert!(
+        bag.decoded().join("\n").contains("OF ANOTHER START OF THE SENSOR"),
+        "{:?}",
+        bag.decoded()
+    );
+    assert!(bag.notes().is_empty(), "{:?}", bag.notes());
+    let twice: Vec<_> = packets
+        .iter()
+        .flat_map(|packet| [packet.clone(), packet.clone()])
+        .collect();
+    fs::write(&own, capture_of(&twice)).unwrap();
+    let bag = opened(&text);
+    let said = bag.decoded().join("\n");
+    assert!(said.contains("packets came before: each counts once"), "{said}");
+    assert!(said.contains("`/udp/7503` is the port of the inertial unit"), "{said}");
+    let (found, _) = clouds(bag.as_ref(), "/udp/7502/points");
+    assert_eq!(found[0].1.len(), 107_647);
+}
+
+/// A packet of points of a later turn.
+fn later((port, mut packet): (u16, Vec<u8>)) -> (u16, Vec<u8>) {
+    packet[2] = packet[2].wrapping_add(10);
+    (port, packet)
+}
+
+#[test]
+fn packets_of_other_makers_in_captures_are_named() {
+    let dir = tempfile::tempdir().unwrap();
+    let own = dir.path().join("drive.pcap");
+    let begins = |begin: &[u8], bytes: usize| {
+        let mut packet = begin.to_vec();
+        packet.resize(bytes, 0);
+        packet
+    };
+    for (packet, maker) in [
+        (begins(&[0x55, 0xaa, 0x05, 0x5a], 1248), "RoboSense"),
+        (begins(&[0xff, 0xee], 1206), "Velodyne"),
+        (begins(&[0xee, 0xff, 1, 4], 812), "Hesai"),
+    ] {
+        fs::write(&own, capture_of(&[(6699, packet)])).unwrap();
+        let notes = decoded(open(&own).unwrap()).unwrap().notes().join("\n");
+        assert!(notes.contains(&format!("they are of {maker}")), "{notes}");
+        assert!(!notes.contains("metadata"), "{notes}");
+    }
+}

@@ -236,9 +236,14 @@ impl<'a> Scene<'a> {
             .collect();
         let mut votes: Vec<BTreeMap<u64, usize>> = vec![BTreeMap::new(); self.agents.len()];
         let mut reader = self.log.read_all(&wanted)?;
-        let mut tracks = BTreeSet::new();
+        let (mut tracks, mut classes) = (BTreeSet::new(), BTreeSet::new());
         while let Some(entry) = reader.next()? {
             let boxes = entry.boxes()?.0;
+            for object in &boxes {
+                if !classes.contains(&*object.class) {
+                    classes.insert(object.class.to_string());
+                }
+            }
             tracks.extend(boxes.iter().filter_map(|object| object.track));
             let at = self.agents.iter().find(|agent| agent.name == *entry.agent);
             let Some(map_from_body) = at.and_then(|agent| agent.track.at(entry.stamp())) else {
@@ -259,6 +264,7 @@ impl<'a> Scene<'a> {
         }
         drop(wanted);
         self.tracks = tracks;
+        self.has_a_class(&classes)?;
         for (agent, votes) in self.agents.iter_mut().zip(votes) {
             agent.own_track = votes
                 .into_iter()
@@ -266,6 +272,20 @@ impl<'a> Scene<'a> {
                 .map(|(track, _)| track);
         }
         Ok(())
+    }
+
+    /// Refuses classes of which no box is.
+    fn has_a_class(&self, classes: &BTreeSet<String>) -> Result<(), ExportError> {
+        if classes.is_empty() || classes.iter().any(|class| self.options.wants_class(class)) {
+            return Ok(());
+        }
+        let has: Vec<&str> = classes.iter().map(String::as_str).collect();
+        Err(ExportError::Option(format!(
+            "--classes: no box of `{}` is of the class {}; there are {}",
+            self.log.path().display(),
+            self.options.classes.join(", ").escape_debug(),
+            has.join(", ").escape_debug()
+        )))
     }
 
     fn names(&self) -> impl Iterator<Item = &str> {

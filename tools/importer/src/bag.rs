@@ -12,6 +12,7 @@ mod small;
 mod summary;
 mod sweeps;
 mod track;
+mod warnings;
 mod write;
 
 use std::collections::BTreeMap;
@@ -124,6 +125,11 @@ pub struct Counted(pub BTreeMap<String, usize>);
 impl Counted {
     /// Counts a fault. What was found differs from message to message, so faults of a topic are one after a few.
     fn add(&mut self, topic: &str, reason: String) {
+        self.add_many(topic, reason, 1);
+    }
+
+    /// Counts a fault of so many messages or objects.
+    fn add_many(&mut self, topic: &str, reason: String, count: usize) {
         const KEPT: usize = 3;
         let of_topic = self
             .0
@@ -135,6 +141,8 @@ impl Counted {
             true => line,
             false => format!("{topic}: other reasons"),
         };
-        *self.0.entry(line).or_default() += 1;
+        if count > 0 {
+            *self.0.entry(line).or_default() += count;
+        }
     }
 }

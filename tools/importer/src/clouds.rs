@@ -7,7 +7,7 @@ use realo_schemas::{Nanos, PointCloud};
 
 use crate::ImportError;
 use crate::files::read;
-use crate::pcd::{Intensities, Points, parse_points, seen};
+use crate::pcd::{Intensities, IntensityFrom, Points, parse_points, seen};
 
 /// Clouds of a side whose brightest intensity says how all of them are scaled, as of the sweeps of a log.
 pub const LOOKED_AT: usize = 10;
@@ -25,6 +25,7 @@ pub struct BodyCloud {
     /// Times as offsets from the stamp, ns.
     time: Vec<i32>,
     intensity: Intensities,
+    intensity_from: IntensityFrom,
 }
 
 impl BodyCloud {
@@ -55,12 +56,18 @@ impl BodyCloud {
             z,
             time,
             intensity: points.intensity,
+            intensity_from: points.intensity_from,
         })
     }
 
     /// As the file has them.
     pub fn intensity(&self) -> &Intensities {
         &self.intensity
+    }
+
+    /// Where they are from.
+    pub fn intensity_from(&self) -> &IntensityFrom {
+        &self.intensity_from
     }
 
     /// As a log has it, and how many intensities were limited to 0…255. `brightest`: the largest of all.
@@ -84,7 +91,7 @@ pub struct Brightest {
     /// Max finite intensity.
     pub most: f32,
     clouds: usize,
-    first: Option<Intensities>,
+    first: Option<(Intensities, IntensityFrom)>,
     /// The largest of the sensors' scale, where it is known.
     range: Option<f32>,
 }
@@ -99,11 +106,12 @@ impl Brightest {
     }
 
     /// Looks at the intensities of a cloud, if it is one of the first.
-    pub fn look_at(&mut self, intensity: &Intensities) {
+    pub fn look_at(&mut self, intensity: &Intensities, from: &IntensityFrom) {
         if self.clouds < LOOKED_AT {
             self.clouds += 1;
             self.most = self.most.max(intensity.brightest().unwrap_or(0.0));
-            self.first.get_or_insert_with(|| intensity.without_values());
+            self.first
+                .get_or_insert_with(|| (intensity.without_values(), from.clone()));
         }
     }
 
@@ -117,14 +125,23 @@ impl Brightest {
 
     /// The rule in words.
     pub fn rule(&self) -> String {
-        if let (Some(range), Some(Intensities::Others { kind, .. })) = (self.range, &self.first) {
-            return format!(
+        let Some((first, from)) = &self.first else {
+            return String::new();
+        };
+        let rule = match (self.range, first) {
+            (Some(range), Intensities::Others { kind, .. }) => format!(
                 "{kind} of 0 to {range}: multiplied by {} (--intensity-range)",
                 255.0 / range
-            );
+            ),
+            _ => first.rule(self.most, self.clouds),
+        };
+        match from {
+            IntensityFrom::Named => rule,
+            IntensityFrom::Other(words) => format!("{words}: {rule}"),
+            IntensityFrom::Nothing(fields) => {
+                format!("NONE, all are 0: the clouds have {fields}, and no field that is read as intensity")
+            }
         }
-        let rule = |first: &Intensities| first.rule(self.most, self.clouds);
-        self.first.as_ref().map_or_else(String::new, rule)
     }
 }
 

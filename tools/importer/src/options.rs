@@ -141,7 +141,7 @@ pub const OPTIONS: &[OptionInfo] = &[
     choice(
         "cloud",
         "TYPE",
-        &["pcd", "bin"],
+        &["pcd", "bin", "ply"],
         "Which clouds are read where a sweep has both",
     ),
     option(

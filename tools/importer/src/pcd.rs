@@ -1,8 +1,10 @@
 //! PCD files as PCL, Open3D and DAIR-V2X-C write them: `DATA binary_compressed` (LZF, fields one after another), `binary` or
-//! `ascii`; fields of any numeric type, padding, and counts above 1.
+//! `ascii`; fields of any numeric type, padding, and counts above 1. PLY files are read alike.
 
+mod columns;
 mod head;
 mod lzf;
+mod ply;
 
 use std::borrow::Cow;
 use std::fs;
@@ -10,7 +12,8 @@ use std::path::Path;
 
 use realo_logs::intensity_scale;
 
-use self::head::{Data, Field, Head, split_head};
+use self::columns::{Binary, columns, text_values};
+use self::head::{Data, Head, split_head};
 use self::lzf::decompress_body;
 use crate::ImportError;
 
@@ -54,11 +57,26 @@ pub(crate) struct Points {
     pub y: Vec<f64>,
     pub z: Vec<f64>,
     pub intensity: Intensities,
+    pub intensity_from: IntensityFrom,
     pub timestamp: Option<Vec<f64>>,
     /// The field `t` of whole numbers, as the file has it: data sets differ in what it means.
     pub t: Option<Vec<f64>>,
     /// Times as offsets from the stamp, ns; they count before `timestamp`.
     pub offset_ns: Option<Vec<i32>>,
+    /// How these offsets were made of other times, in words.
+    pub times: Option<String>,
+}
+
+/// Where intensities are from.
+#[derive(Clone, Debug, Default, PartialEq)]
+pub(crate) enum IntensityFrom {
+    /// What is called so.
+    #[default]
+    Named,
+    /// Another field, in words.
+    Other(String),
+    /// Nowhere: all that there is.
+    Nothing(String),
 }
 
 /// Intensities as a file holds them.
@@ -175,8 +193,11 @@ pub fn parse_pcd(bytes: &[u8]) -> Result<PcdCloud, String> {
     })
 }
 
-/// Reads the bytes of a PCD file as they are.
+/// Reads the bytes of a PCD or PLY file as they are.
 pub(crate) fn parse_points(bytes: &[u8]) -> Result<Points, String> {
+    if ply::is_ply(bytes) {
+        return ply::parse(bytes);
+    }
     let (text, body) = split_head(bytes)?;
     let head = Head::parse(text)?;
     let Head { fields, points, .. } = &head;
@@ -216,186 +237,6 @@ pub(crate) fn parse_points(bytes: &[u8]) -> Result<Points, String> {
         compressed,
     };
     columns(fields, &binary)
-}
-
-/// Where the numbers of fields are.
-trait Values {
-    /// The numbers of a field that has one a point.
-    fn column(&self, field: &Field) -> Vec<f64>;
-    fn points(&self) -> usize;
-}
-
-struct Binary<'a> {
-    values: &'a [u8],
-    points: usize,
-    point_size: usize,
-    compressed: bool,
-}
-
-impl Binary<'_> {
-    fn raw<const N: usize>(&self, field: &Field) -> impl Iterator<Item = [u8; N]> {
-        let (start, step) = match self.compressed {
-            true => (field.before * self.points, field.size * field.count),
-            false => (field.before, self.point_size),
-        };
-        (0..self.points).map(move |i| std::array::from_fn(|k| self.values[start + i * step + k]))
-    }
-}
-
-impl Values for Binary<'_> {
-    fn column(&self, field: &Field) -> Vec<f64> {
-        match (field.kind, field.size) {
-            ('F', 4) => self.raw(field).map(|v| f32::from_le_bytes(v).into()).collect(),
-            ('F', _) => self.raw(field).map(f64::from_le_bytes).collect(),
-            ('I', 1) => self.raw(field).map(|v| i8::from_le_bytes(v).into()).collect(),
-            ('I', 2) => self.raw(field).map(|v| i16::from_le_bytes(v).into()).collect(),
-            ('I', 4) => self.raw(field).map(|v| i32::from_le_bytes(v).into()).collect(),
-            // Of 64 bits, numbers beyond 2⁵³ lose their last digits.
-            ('I', _) => self.raw(field).map(|v| i64::from_le_bytes(v) as f64).collect(),
-            (_, 1) => self.raw(field).map(|v| u8::from_le_bytes(v).into()).collect(),
-            (_, 2) => self.raw(field).map(|v| u16::from_le_bytes(v).into()).collect(),
-            (_, 4) => self.raw(field).map(|v| u32::from_le_bytes(v).into()).collect(),
-            _ => self.raw(field).map(|v| u64::from_le_bytes(v) as f64).collect(),
-        }
-    }
-
-    fn points(&self) -> usize {
-        self.points
-    }
-}
-
-/// Numbers of a text, a point a line.
-struct Text {
-    values: Vec<f64>,
-    width: usize,
-}
-
-impl Values for Text {
-    fn column(&self, field: &Field) -> Vec<f64> {
-        let single = (field.kind, field.size) == ('F', 4);
-        let number = |row: &[f64]| match row[field.numbers_before] {
-            // As a binary file would hold it.
-            value if single => f64::from(value as f32),
-            value => value,
-        };
-        self.values.chunks_exact(self.width).map(number).collect()
-    }
-
-    fn points(&self) -> usize {
-        self.values.len() / self.width
-    }
-}
-
-fn text_values(body: &[u8], fields: &[Field], points: usize) -> Result<Text, String> {
-    let body = std::str::from_utf8(body).map_err(|_| "DATA ascii: expected text, found other bytes".to_string())?;
-    let width: usize = fields.iter().map(|field| field.count).sum();
-    let (mut values, mut found) = (Vec::new(), 0);
-    let lines = body
-        .lines()
-        .map(str::trim)
-        .filter(|line| !line.is_empty() && !line.starts_with('#'));
-    for line in lines {
-        let before = values.len();
-        found += 1;
-        for word in line.split_ascii_whitespace() {
-            let number: f64 = word
-                .parse()
-                .map_err(|_| format!("point {found}: expected numbers, found `{}`", crate::shown(word)))?;
-            values.push(number);
-        }
-        if values.len() - before != width {
-            let there = values.len() - before;
-            return Err(format!("point {found}: expected {width} numbers, found {there}"));
-        }
-    }
-    match found == points {
-        true => Ok(Text {
-            values,
-            width: width.max(1),
-        }),
-        false => Err(format!("expected {points} lines, one a point, found {found}")),
-    }
-}
-
-fn columns(fields: &[Field], values: &impl Values) -> Result<Points, String> {
-    let find = |name: &str| -> Result<Option<(&Field, &'static str)>, String> {
-        let mut found = fields.iter().filter(|field| field.name == name);
-        let Some(field) = found.next() else {
-            return Ok(None);
-        };
-        if found.next().is_some() {
-            return Err(format!("field `{name}`: expected one, found several; name them apart"));
-        }
-        if field.count != 1 {
-            return Err(format!("field `{name}`: expected COUNT 1, found {}", field.count));
-        }
-        let kind = field.type_name().ok_or_else(|| {
-            let (kind, size) = (field.kind, field.size);
-            format!("field `{name}`: expected TYPE I or U with SIZE 1, 2, 4 or 8, or F with 4 or 8, found TYPE {kind} SIZE {size}")
-        })?;
-        Ok(Some((field, kind)))
-    };
-    let need = |name: &str| find(name)?.ok_or_else(|| format!("no field `{name}`"));
-    let [x, y, z] = ["x", "y", "z"].map(|name| need(name).map(|(field, _)| values.column(field)));
-    let intensity = match find("intensity")? {
-        Some((field, "uint8")) => Intensities::Bytes(bytes("intensity", values.column(field))?),
-        Some((field, kind)) => Intensities::Others {
-            kind,
-            values: values.column(field).into_iter().map(|value| value as f32).collect(),
-        },
-        None => Intensities::Bytes(vec![0; values.points()]),
-    };
-    let timestamp = match find("timestamp")? {
-        Some((field, "float64")) => Some(values.column(field)),
-        Some((_, kind)) => {
-            return Err(format!(
-                "field `timestamp`: expected TYPE F SIZE 8, s since 1970, found {kind}; save it as doubles or leave it out"
-            ));
-        }
-        None => None,
-    };
-    // A `t` of another type is no time of a driver.
-    let mut of_drivers = fields.iter().filter(|field| field.name == "t" && field.count == 1);
-    let t = of_drivers.next().filter(|field| matches!(field.kind, 'I' | 'U'));
-    Ok(Points {
-        x: x?,
-        y: y?,
-        z: z?,
-        intensity,
-        timestamp,
-        t: t.map(|field| values.column(field)),
-        offset_ns: match find("offset_ns")? {
-            Some((field, "int32")) => Some(offsets(values.column(field))?),
-            Some((_, kind)) => {
-                return Err(format!(
-                    "field `offset_ns`: expected TYPE I SIZE 4, ns from the stamp, found {kind}; save it so or leave it out"
-                ));
-            }
-            None => None,
-        },
-    })
-}
-
-/// Times from the stamp, ns, which a text may break: within a second of it, as in a log.
-fn offsets(column: Vec<f64>) -> Result<Vec<i32>, String> {
-    let offset = |value: f64| match value.abs() < 1e9 && value.fract() == 0.0 {
-        true => Ok(value as i32),
-        false => Err(format!(
-            "field `offset_ns`: expected whole numbers within 1e9 of 0, ns, found {value}"
-        )),
-    };
-    column.into_iter().map(offset).collect()
-}
-
-/// Numbers of a field of bytes, which a text may break.
-fn bytes(name: &str, column: Vec<f64>) -> Result<Vec<u8>, String> {
-    let byte = |value: f64| match (0.0..=255.0).contains(&value) && value.fract() == 0.0 {
-        true => Ok(value as u8),
-        false => Err(format!(
-            "field `{name}`: expected 0 to 255 as its TYPE U SIZE 1 says, found {value}"
-        )),
-    };
-    column.into_iter().map(byte).collect()
 }
 
 #[cfg(test)]

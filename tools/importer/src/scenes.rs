@@ -190,6 +190,9 @@ pub trait Layout: Sync {
         "all"
     }
 
+    /// What to try where clouds do not fit each other: options of the kind, in words.
+    fn placing(&self) -> &'static str;
+
     /// What else is assumed, a line each.
     fn assumed(&self, options: &Options) -> Vec<String>;
 }

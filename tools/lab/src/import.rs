@@ -5,7 +5,7 @@ mod kind;
 use std::path::{Path, PathBuf};
 
 use clap::Subcommand;
-use eyre::Result;
+use eyre::{Result, bail};
 use realo_cli::{Force, Outcome, Output, Progress, one_of, report_left_out, unfinished};
 use realo_importer::{Importer, Level, Options};
 use realo_logs::Log;
@@ -92,6 +92,10 @@ fn import(importer: &dyn Importer, dir: &Path, output: &Path, force: Force, opti
     let job = importer.job(dir, output, options)?;
     let outputs = job.outputs().to_vec();
     for output in &outputs {
+        is_no_source(
+            output,
+            std::iter::once(dir).chain(options.more.iter().map(PathBuf::as_path)),
+        )?;
         force.check(output, Output::Log)?;
         unfinished::end_with_signals(output);
     }
@@ -118,7 +122,26 @@ fn import(importer: &dyn Importer, dir: &Path, output: &Path, force: Force, opti
     Ok(Outcome::Complete)
 }
 
+/// Refuses to write a log over what it is made of.
+fn is_no_source<'a>(output: &Path, mut sources: impl Iterator<Item = &'a Path>) -> Result<()> {
+    let Ok(own) = output.canonicalize() else { return Ok(()) };
+    // Of a folder, parts of a bag.
+    let is_of = |source: &Path| {
+        let source = source.canonicalize();
+        source.is_ok_and(|source| own == source || (own.starts_with(&source) && source.join("metadata.yaml").is_file()))
+    };
+    match sources.find(|source| is_of(source)) {
+        Some(source) => bail!(
+            "refuse to write `{}`: it is part of what is imported, `{}`; give another file to -o",
+            output.display(),
+            source.display()
+        ),
+        None => Ok(()),
+    }
+}
+
 fn relevel(log: &Path, output: &Path, force: Force, level: Level) -> Result<Outcome> {
+    is_no_source(output, std::iter::once(log))?;
     force.check(output, Output::Log)?;
     unfinished::end_with_signals(output);
     let progress = Progress::new("levelling", "s of the log", Some(0.0));
@@ -135,4 +158,27 @@ fn relevel(log: &Path, output: &Path, force: Force, level: Level) -> Result<Outc
     }
     println!("{}", realo_logs::describe(output)?);
     Ok(outcome)
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_log_is_not_written_over_what_it_is_made_of() {
+        let dir = tempfile::tempdir().unwrap();
+        let (bag, own) = (dir.path().join("bag"), dir.path().join("own.mcap"));
+        std::fs::create_dir(&bag).unwrap();
+        for file in [&bag.join("metadata.yaml"), &bag.join("bag_0.mcap"), &own] {
+            std::fs::write(file, "").unwrap();
+        }
+        let check = |output: &Path| is_no_source(output, [bag.as_path(), own.as_path()].into_iter());
+        for output in [own.clone(), dir.path().join("bag/../own.mcap"), bag.join("bag_0.mcap")] {
+            let error = check(&output).unwrap_err().to_string();
+            assert!(error.contains("it is part of what is imported"), "{error}");
+        }
+        check(&dir.path().join("new.mcap")).unwrap();
+        std::fs::write(dir.path().join("other.mcap"), "").unwrap();
+        check(&dir.path().join("other.mcap")).unwrap();
+    }
 }

@@ -1,6 +1,8 @@
 //! Objects of `Detection3DArray` and `MarkerArray`. Both have changed from version to version of ROS: the form that ends where the
 //! message ends is the right one.
 
+use std::collections::BTreeMap;
+
 use nalgebra::Isometry3;
 use realo_logs::cdr::{CdrError, CdrReader};
 use realo_logs::pose::isometry;
@@ -30,6 +32,8 @@ pub struct Objects {
     pub stamp: Nanos,
     /// All that have a place.
     pub objects: Vec<Object>,
+    /// Markers that are no cubes, by the names of their types.
+    pub others: BTreeMap<&'static str, usize>,
 }
 
 /// How a `Detection3D` is laid out: whether its hypotheses have numbers, and what follows its box.
@@ -102,7 +106,11 @@ fn array(input: &mut CdrReader, form: DetectionForm) -> Result<Objects, CdrError
     for _ in 0..input.length(80)? {
         objects.push(detection(input, frame, form)?);
     }
-    Ok(Objects { stamp, objects })
+    Ok(Objects {
+        stamp,
+        objects,
+        others: BTreeMap::new(),
+    })
 }
 
 fn detection(input: &mut CdrReader, array_frame: &str, form: DetectionForm) -> Result<Object, CdrError> {
@@ -189,17 +197,48 @@ pub fn markers<'a>(begin: impl Fn() -> Result<CdrReader<'a>, CdrError>) -> Resul
         form(false, true),
     ];
     whole("MarkerArray", &begin, &forms, |input, form| {
-        let (mut stamp, mut objects) = (0, Vec::new());
+        let (mut stamp, mut objects, mut others) = (0, Vec::new(), BTreeMap::new());
         for _ in 0..input.length(100)? {
-            let (at, object) = marker(input, form)?;
+            let (at, found) = marker(input, form)?;
             stamp = if stamp == 0 { at } else { stamp };
-            objects.extend(object);
+            match found {
+                Found::Cube(object) => objects.push(object),
+                Found::Other(name) => *others.entry(name).or_default() += 1,
+                Found::Nothing => {}
+            }
         }
-        Ok(Objects { stamp, objects })
+        Ok(Objects { stamp, objects, others })
     })
 }
 
-fn marker(input: &mut CdrReader, form: MarkerForm) -> Result<(Nanos, Option<Object>), CdrError> {
+/// The type of markers that only show a text.
+pub const TEXT: &str = "TEXT_VIEW_FACING";
+/// Types of markers, by their numbers.
+const MARKERS: [&str; 12] = [
+    "ARROW",
+    "CUBE",
+    "SPHERE",
+    "CYLINDER",
+    "LINE_STRIP",
+    "LINE_LIST",
+    "CUBE_LIST",
+    "SPHERE_LIST",
+    "POINTS",
+    TEXT,
+    "MESH_RESOURCE",
+    "TRIANGLE_LIST",
+];
+
+/// What a marker is.
+enum Found {
+    Cube(Object),
+    /// Its type.
+    Other(&'static str),
+    /// It deletes others.
+    Nothing,
+}
+
+fn marker(input: &mut CdrReader, form: MarkerForm) -> Result<(Nanos, Found), CdrError> {
     const CUBE: i32 = 1;
     const ADD: i32 = 0;
     let (stamp, frame) = input.header()?;
@@ -236,7 +275,11 @@ fn marker(input: &mut CdrReader, form: MarkerForm) -> Result<(Nanos, Option<Obje
     }
     input.bool()?;
     if (kind, action) != (CUBE, ADD) {
-        return Ok((stamp, None));
+        let name = usize::try_from(kind).ok().and_then(|kind| MARKERS.get(kind));
+        return Ok(match action {
+            ADD => (stamp, Found::Other(name.unwrap_or(&"of another number"))),
+            _ => (stamp, Found::Nothing),
+        });
     }
     let object = Object {
         frame: frame.into(),
@@ -249,7 +292,7 @@ fn marker(input: &mut CdrReader, form: MarkerForm) -> Result<(Nanos, Option<Obje
         frame_from_object: isometry(&pose)?,
         size,
     };
-    Ok((stamp, Some(object)))
+    Ok((stamp, Found::Cube(object)))
 }
 
 #[cfg(test)]

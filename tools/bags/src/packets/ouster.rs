@@ -2,6 +2,9 @@
 
 mod metadata;
 
+use std::collections::BTreeSet;
+use std::ops::Range;
+
 use realo_schemas::{Nanos, PointCloud};
 
 pub use self::metadata::Format;
@@ -42,6 +45,10 @@ pub(crate) struct Profile {
     reflectivity: Field,
     near_ir: Field,
 }
+
+/// Where heads of packets have the number of the sensor's start, and its serial number.
+const START: Range<usize> = 4..7;
+const SERIAL: Range<usize> = 7..12;
 
 /// All profiles that are read.
 pub(crate) const PROFILES: [Profile; 5] = [
@@ -160,6 +167,10 @@ pub struct Frame {
     pub returns: Vec<Return>,
     /// Of all pixels.
     pub sums: Sums,
+    /// Columns that came more than once: the first counts.
+    pub doubled: usize,
+    /// Columns that came.
+    seen: BTreeSet<usize>,
 }
 
 impl Frame {
@@ -226,24 +237,57 @@ impl Format {
                 time: Nanos::try_from(time).ok()?,
                 pixels,
             };
-            (is_valid && column.number < self.columns_per_frame).then_some(column)
+            is_valid.then_some(column)
         });
-        Ok(Some(columns))
+        let columns: Vec<Column> = columns.collect();
+        let most = self.columns_per_frame;
+        match columns.iter().find(|column| column.number >= most) {
+            Some(column) => Err(format!(
+                "expected columns 0 to {} of a turn, found {}; see whether the metadata are of this mode of the sensor",
+                most - 1,
+                column.number
+            )),
+            None => Ok(Some(columns.into_iter())),
+        }
     }
 
-    /// Time of the last valid column of a packet by the sensor's clock, ns.
+    /// The last valid column of a packet: time by the sensor's clock (ns), frame, and place in the turn.
     ///
     /// # Errors
-    /// A packet of another size.
-    pub fn last_time(&self, packet: &[u8]) -> Result<Option<Nanos>, String> {
-        Ok(self
-            .columns(packet)?
-            .and_then(|columns| columns.map(|column| column.time).max()))
+    /// A packet of another size, or of a mode with more columns.
+    pub fn last(&self, packet: &[u8]) -> Result<Option<(Nanos, u32, usize)>, String> {
+        let columns = self.columns(packet)?;
+        let last = columns.and_then(|columns| columns.max_by_key(|column| column.time));
+        Ok(last.map(|column| (column.time, column.frame, column.number)))
+    }
+
+    /// Whether a packet is of another start of the sensor than the metadata, by what newer heads say.
+    ///
+    /// # Errors
+    /// A packet of another sensor, with both serial numbers.
+    pub fn is_of_other_start(&self, packet: &[u8]) -> Result<bool, String> {
+        let has_ids = !self.profile.is_legacy() && self.profile.frame == [2, 2];
+        if !has_ids || packet.len() < self.profile.packet[0] {
+            return Ok(false);
+        }
+        let number = |at: Range<usize>| packet[at].iter().rev().fold(0_u64, |n, byte| n << 8 | u64::from(*byte));
+        let (serial, start) = (number(SERIAL), number(START));
+        match self.serial.filter(|known| *known != serial && serial != 0) {
+            Some(known) => Err(format!(
+                "expected packets of the sensor {known}, whose metadata these are, found packets of the sensor {serial}; save the metadata \
+                 of that one"
+            )),
+            None => Ok(self.start.is_some_and(|known| known != start)),
+        }
     }
 
     fn add(&self, frame: &mut Frame, column: &Column) {
         if frame.columns == 0 {
             (frame.number, frame.first, frame.last) = (column.frame, column.time, column.time);
+        }
+        if !frame.seen.insert(column.number) {
+            frame.doubled += 1;
+            return;
         }
         frame.columns += 1;
         frame.first = frame.first.min(column.time);

@@ -31,6 +31,12 @@ const LENS_M: f64 = 0.035;
 /// A turn, hundredths of a degree.
 const TURN: u16 = 36_000;
 
+/// Whether a packet of UDP begins as one of RoboSense, of points or of the sensor's state.
+pub fn is_packet(packet: &[u8]) -> bool {
+    // Older sensors differ from the third byte on.
+    packet.starts_with(&MSOP[..2]) || packet.starts_with(&DIFOP[..3])
+}
+
 /// A message: the packets of a turn.
 pub struct Scan {
     /// When its first packet came, ns.

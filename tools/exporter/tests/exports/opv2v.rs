@@ -134,6 +134,19 @@ fn agents_and_classes_can_be_chosen() {
 }
 
 #[test]
+fn classes_of_which_no_box_is_are_refused() {
+    let dir = tempfile::tempdir().unwrap();
+    let log = simulated(dir.path());
+    let error = try_export("opv2v", &log, &dir.path().join(SCENE), &[("classes", "Unicorn")], false).unwrap_err();
+    let error = error.to_string();
+    assert!(
+        error.contains("is of the class unicorn; there are ") && error.contains("Car"),
+        "{error}"
+    );
+    assert!(!dir.path().join(SCENE).exists());
+}
+
+#[test]
 fn a_tilted_log_without_a_height_comes_back_as_the_export_says() {
     let dir = tempfile::tempdir().unwrap();
     let log = MadeUp {

@@ -104,8 +104,18 @@ impl Heads {
                 _ => "none: all points of a sweep are at its stamp".into(),
             },
             intensity_words: match kind {
-                "" => "none: 0".into(),
-                kind => format!("{kind}, times {scale}"),
+                "" => {
+                    let fields: Vec<String> = first.field_names().map(|(name, _)| crate::shown(name)).collect();
+                    format!(
+                        "NONE, all are 0: the clouds have {}, and no field that is read as intensity",
+                        fields.join(", ")
+                    )
+                }
+                kind => {
+                    let field = first.intensity_name().filter(|name| *name != "intensity");
+                    let field = field.map_or(String::new(), |name| format!("of the field `{name}`: "));
+                    format!("{field}{kind}, times {scale}")
+                }
             },
             stamps,
             first: Vec::new(),

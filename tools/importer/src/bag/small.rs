@@ -1,8 +1,10 @@
 //! All messages but the clouds, and how the first clouds are to be read.
 
+use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::hash::{DefaultHasher, Hash, Hasher};
 
+use realo_bags::map_file::StampClock;
 use realo_bags::messages::{self, Attitude, Fix, Kind, Measured, Objects, Pose};
 use realo_bags::{Bag, Connection, Message, is_static};
 use realo_logs::Frames;
@@ -125,6 +127,8 @@ pub struct Small {
     pub agents: Vec<AgentSmall>,
     /// Messages that cannot be read.
     pub faults: Counted,
+    /// Messages without a stamp, by topic, where stamps of headers count.
+    pub unstamped: BTreeMap<String, u64>,
 }
 
 /// Reads all bags once, without their clouds but the first.
@@ -133,6 +137,7 @@ pub fn read(import: &Import, report: &mut dyn FnMut(&'static str, u64, u64)) -> 
         bags: Vec::new(),
         agents: import.agents.iter().map(|_| AgentSmall::default()).collect(),
         faults: Counted::default(),
+        unstamped: BTreeMap::new(),
     };
     let all = (0..import.bags.len()).flat_map(|bag| wanted(import, bag));
     let all: u64 = all.map(|(_, count)| count).sum();
@@ -201,15 +206,37 @@ impl Small {
             return Ok(());
         };
         let clock = import.map.clock;
-        let stamped = |stamp: Nanos| stamp_of(clock, stamp, message.log_time);
+        let is_unstamped = Cell::new(false);
+        let stamped = |stamp: Nanos| {
+            is_unstamped.set(is_unstamped.get() || stamp == 0);
+            stamp_of(clock, stamp, message.log_time)
+        };
+        let taken = self.take_stamped(import, bag, connection, message, kind, &stamped);
+        // What holds for all times needs no stamp.
+        if is_unstamped.get() && clock == StampClock::Header && !is_static(&connection.topic) {
+            *self.unstamped.entry(connection.topic.clone()).or_default() += 1;
+        }
+        taken
+    }
+
+    fn take_stamped(
+        &mut self,
+        import: &Import,
+        bag: usize,
+        connection: &Connection,
+        message: &Message,
+        kind: Kind,
+        stamped: &impl Fn(Nanos) -> Nanos,
+    ) -> Result<(), String> {
+        let known = &mut self.bags[bag];
         match kind {
-            Kind::Transforms => return known.take_transforms(connection, message, &stamped),
-            Kind::TimeReference => return known.take_reference(connection, message, &stamped),
+            Kind::Transforms => return known.take_transforms(connection, message, stamped),
+            Kind::TimeReference => return known.take_reference(connection, message, stamped),
             _ => {}
         }
         let agents = import.agents.iter().zip(&mut self.agents);
         for (agent, small) in agents.filter(|(agent, _)| agent.bag == bag) {
-            small.take(agent, connection, message, kind, &stamped)?;
+            small.take(agent, connection, message, kind, stamped)?;
         }
         Ok(())
     }
@@ -297,7 +324,10 @@ impl AgentSmall {
                 Kind::MarkerArray => messages::markers(begin)?,
                 _ => messages::detections(begin)?,
             };
-            said.stamp = stamped(said.stamp);
+            // An array of no markers has no stamp.
+            let is_empty =
+                kind == Kind::MarkerArray && said.stamp == 0 && said.objects.is_empty() && said.others.is_empty();
+            said.stamp = if is_empty { log_time } else { stamped(said.stamp) };
             Ok(At { log_time, said })
         };
         if is(&agent.truth) {

@@ -28,6 +28,8 @@ pub struct BagAgent {
     pub truths: usize,
     /// Sweeps whose truth is of another time, and was brought to theirs.
     pub moved_truths: usize,
+    /// Sweeps that are left unscored, as their truth could not be placed or is no boxes.
+    pub unplaced_truths: usize,
     /// Sweeps with recorded detections.
     pub detections: usize,
     /// Height of its frame over the ground, m.
@@ -51,6 +53,8 @@ pub struct BagSummary {
     pub bags: Vec<String>,
     /// What is missing of them or strange about them.
     pub notes: Vec<String>,
+    /// What is probably not as it should be.
+    pub warnings: Vec<String>,
     /// Topics of theirs that were decoded from packets.
     pub decoded: Vec<String>,
     /// Its agents.
@@ -88,6 +92,13 @@ impl fmt::Display for BagAgent {
         if self.truths > 0 {
             let moved = self.moved_truths;
             write!(f, ", {} sweeps with truth ({moved} moved to their time)", self.truths)?;
+        }
+        if self.unplaced_truths > 0 {
+            let unplaced = self.unplaced_truths;
+            write!(
+                f,
+                ", {unplaced} sweeps LEFT UNSCORED as their truth could not be placed or is no boxes (see `left out`)"
+            )?;
         }
         if self.detections > 0 {
             write!(f, ", {} sweeps with detections", self.detections)?;
@@ -139,6 +150,9 @@ impl fmt::Display for BagSummary {
                 "\nno truth: a run reports rates, ages, bytes and boxes, and no score"
             )?,
             false => write!(f, "\ntruth: {}", printable(&classes.join(", ")))?,
+        }
+        for warning in &self.warnings {
+            write!(f, "\nwarning: {}", printable(warning))?;
         }
         for residual in &self.residuals {
             write!(f, "\n{residual}")?;

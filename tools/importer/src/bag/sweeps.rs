@@ -4,7 +4,7 @@ use std::collections::{BTreeSet, VecDeque};
 
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use realo_bags::Messages;
-use realo_bags::map_file::Height;
+use realo_bags::map_file::{Height, StampClock};
 use realo_logs::Frames;
 use realo_logs::cloud::{CloudReader, Reading};
 use realo_schemas::geometry::{level_from_body, tilt_degrees};
@@ -57,6 +57,12 @@ pub struct Sweeps<'a> {
     pub limited: u64,
     /// Messages that were read.
     pub read: u64,
+    /// Clouds without a stamp, by topic, where stamps of headers count.
+    pub unstamped: Vec<u64>,
+    /// Sweeps without a cloud of a topic beside the first, by topic.
+    pub lacking: Vec<u64>,
+    /// Sweeps that were given.
+    pub joined: u64,
 }
 
 impl<'a> Sweeps<'a> {
@@ -87,6 +93,9 @@ impl<'a> Sweeps<'a> {
             last: None,
             limited: 0,
             read: 0,
+            unstamped: vec![0; agent.clouds.len()],
+            lacking: vec![0; agent.clouds.len()],
+            joined: 0,
         })
     }
 
@@ -148,7 +157,9 @@ impl<'a> Sweeps<'a> {
     }
 
     fn placed(&mut self, mut reader: CloudReader, topic: usize, log_time: Nanos) -> Result<Sweep, String> {
-        let stamp = stamp_of(self.import.map.clock, reader.stamp, log_time);
+        let clock = self.import.map.clock;
+        self.unstamped[topic] += u64::from(reader.stamp == 0 && clock == StampClock::Header);
+        let stamp = stamp_of(clock, reader.stamp, log_time);
         reader.stamp = stamp;
         let moved = stamp.saturating_add(self.clock.stamp);
         if moved < 0 {
@@ -179,15 +190,15 @@ impl<'a> Sweeps<'a> {
 
     /// A sweep with the nearest of the other topics.
     fn joined(&mut self, mut sweep: Sweep) -> Sweep {
-        for clouds in &mut self.others[1..] {
+        self.joined += 1;
+        for (clouds, lacking) in self.others.iter_mut().zip(&mut self.lacking).skip(1) {
             let off = |cloud: &Sweep| cloud.stamp.abs_diff(sweep.stamp);
-            let Some(nearest) = (0..clouds.len()).min_by_key(|place| off(&clouds[*place])) else {
+            let nearest = (0..clouds.len()).min_by_key(|place| off(&clouds[*place]));
+            let nearest = nearest.filter(|place| off(&clouds[*place]) <= TOGETHER as u64);
+            let Some(other) = nearest.and_then(|place| clouds.remove(place)) else {
+                *lacking += 1;
                 continue;
             };
-            if off(&clouds[nearest]) > TOGETHER as u64 {
-                continue;
-            }
-            let Some(other) = clouds.remove(nearest) else { continue };
             clouds.retain(|cloud| cloud.stamp > other.stamp);
             sweep.ready = sweep.ready.max(other.ready);
             sweep.cloud = both(&sweep.cloud, &other.cloud, (other.stamp - sweep.stamp) as i32);

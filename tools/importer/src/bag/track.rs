@@ -22,6 +22,9 @@ const BEYOND: Nanos = 150_000_000;
 const SPARSE: Nanos = 120_000_000;
 /// An attitude is of the same time as a position, ns.
 const SAME_TIME: Nanos = 100_000_000;
+/// Poses of one stamp that differ by no more are one, m and rad.
+const SAME_PLACE: f64 = 1e-3;
+const SAME_TURN: f64 = 1e-4;
 /// A larger variance says that nothing is known, m² or rad².
 const MOST_VARIANCE: f64 = 1e12;
 /// A course is known where a vehicle went on by so much, m.
@@ -37,6 +40,8 @@ pub struct Track {
     pub words: String,
     /// Covariances of poses by their stamps, where the bag has them.
     pub covariances: BTreeMap<Nanos, Box<[f64; 36]>>,
+    /// How many poses differ from an earlier one of the same stamp, and by how much at most, m.
+    pub contradicted: (usize, f64),
 }
 
 impl Track {
@@ -46,17 +51,27 @@ impl Track {
             is_fixed: true,
             words,
             covariances: BTreeMap::new(),
+            contradicted: (0, 0.0),
         }
     }
 
     fn moving(mut poses: Vec<(Nanos, Nanos, Isometry3<f64>)>, words: String) -> Self {
         poses.sort_by_key(|(stamp, ..)| *stamp);
-        poses.dedup_by_key(|(stamp, ..)| *stamp);
+        let (mut count, mut most) = (0, 0.0_f64);
+        poses.dedup_by(|(stamp, _, pose), (at, _, first)| {
+            let is_again = stamp == at;
+            let metres = (pose.translation.vector - first.translation.vector).norm();
+            if is_again && (metres > SAME_PLACE || pose.rotation.angle_to(&first.rotation) > SAME_TURN) {
+                (count, most) = (count + 1, most.max(metres));
+            }
+            is_again
+        });
         Track {
             poses,
             is_fixed: false,
             words,
             covariances: BTreeMap::new(),
+            contradicted: (count, most),
         }
     }
 
@@ -169,7 +184,9 @@ fn of_poses(
         match world_from_frame {
             Ok(from) => {
                 let pose = from * said.frame_from_child * child_from_frame;
-                covariances.extend(covariance(said, &from, &child_from_frame).map(|known| (stamp, known)));
+                if let Some(known) = covariance(said, &from, &child_from_frame) {
+                    covariances.entry(stamp).or_insert(known);
+                }
                 poses.push((stamp, *log_time, pose));
             }
             Err(reason) => faults.add(
@@ -461,7 +478,11 @@ mod tests {
         ] {
             assert_eq!(x(t), expected, "{t}");
         }
-        assert!(!track.is_sparse());
+        assert!(!track.is_sparse() && track.contradicted == (0, 0.0));
+        let twice = [(0, 0.0), (100, 1.0), (100, 1.0), (100, 4.0), (200, 2.0)].map(|(t, x)| (t * ms, t * ms, along(x)));
+        let twice = Track::moving(twice.into(), String::new());
+        assert_eq!((twice.poses.len(), twice.contradicted), (3, (1, 3.0)));
+        assert_eq!(twice.at(100 * ms), Some(along(1.0)), "the first counts");
         let one = Track::moving(vec![(0, 0, along(1.0))], String::new());
         assert!(one.at(100 * ms).is_some() && one.at(200 * ms).is_none() && one.is_sparse());
         assert!(Track::moving(Vec::new(), String::new()).at(0).is_none());

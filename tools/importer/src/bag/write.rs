@@ -13,12 +13,15 @@ use super::objects::Timeline;
 use super::small::{AgentSmall, Small};
 use super::sweeps::{Sweep, Sweeps, height};
 use super::track::{Track, origin, track};
+use super::warnings::warnings;
 use super::{BagAgent, BagSummary, Counted, Import};
 use crate::ImportError;
 use crate::level::by_pose;
 use crate::places::recorded;
 use crate::scenes::{Placed, points_in_boxes, residual};
 
+/// What to try where clouds do not fit each other.
+const PLACING: &str = "correct `pose`, `frame`, `mounts` or `offset` in the map file";
 /// Sweeps of two agents that are so near are compared, ns.
 const COMPARED: Nanos = 60_000_000;
 
@@ -31,6 +34,8 @@ struct State {
     posed: usize,
     motion: MotionQueue,
     sparse: bool,
+    /// What is strange about its objects.
+    notes: Vec<String>,
     tilts: [f64; 2],
     last: Option<Sweep>,
     summary: BagAgent,
@@ -79,6 +84,9 @@ pub fn write(
     };
     writing.sweeps(&mut readers, &mut faults, report)?;
     writing.summary.limited_intensities = readers.iter().map(|reader| reader.limited).sum();
+    writing.summary.warnings = warnings(import, &small, &tracks, &readers);
+    let notes = writing.states.iter().flat_map(|state| state.notes.iter().cloned());
+    writing.summary.warnings.extend(notes);
     writing.finish(output, faults)
 }
 
@@ -147,6 +155,11 @@ fn state(
     Ok(State {
         motion,
         sparse: track.is_sparse(),
+        notes: [&truth, &detections]
+            .into_iter()
+            .flatten()
+            .filter_map(|timeline| timeline.note.clone())
+            .collect(),
         height,
         truth,
         detections,
@@ -303,7 +316,9 @@ impl Writing<'_> {
             let timeline = timeline.as_ref()?;
             timeline.at(sweep.stamp, bridge, &sweep.world_from_body, &self.import.map)
         };
-        if let Some(mut truth) = found(&state.truth, true) {
+        let truth = found(&state.truth, true);
+        state.summary.unplaced_truths += usize::from(truth.as_ref().is_some_and(|truth| !truth.is_whole));
+        if let Some(mut truth) = truth.filter(|truth| truth.is_whole) {
             // What is centred in the outline is the agent itself.
             if let Some([x0, x1, y0, y1]) = agent.map.footprint {
                 let is_itself = |[x, y, _]: [f64; 3]| (x0..=x1).contains(&x) && (y0..=y1).contains(&y);
@@ -317,7 +332,8 @@ impl Writing<'_> {
                 *self.summary.classes.entry(object.class.to_string()).or_default() += 1;
             }
         }
-        if let Some(detections) = found(&state.detections, false) {
+        let detections = found(&state.detections, false);
+        if let Some(detections) = detections.filter(|found| found.is_whole || !found.boxes.is_empty()) {
             let there = detections.log_time.saturating_add(clock.ready).max(ready);
             log.detections(name, stamp, there, &Boxes(detections.boxes))?;
             state.summary.detections += 1;
@@ -336,7 +352,7 @@ impl Writing<'_> {
             if (other.ready - sweep.ready).abs() > COMPARED || residuals.iter().any(is_known) {
                 continue;
             }
-            residuals.extend(residual(&placed(name, sweep), &placed(&agent.name, other)));
+            residuals.extend(residual(&placed(name, sweep), &placed(&agent.name, other), PLACING));
         }
     }
 

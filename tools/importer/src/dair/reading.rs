@@ -100,7 +100,7 @@ impl Reader {
             match self.read(pair) {
                 Ok((pair, clouds)) => {
                     for (brightest, cloud) in checked.brightest.iter_mut().zip(&clouds) {
-                        brightest.look_at(cloud.intensity());
+                        brightest.look_at(cloud.intensity(), cloud.intensity_from());
                     }
                     checked.pairs.push(pair);
                 }

@@ -4,6 +4,7 @@ mod finding;
 mod frame_file;
 mod poses;
 mod stated;
+mod times;
 
 use std::path::Path;
 
@@ -14,6 +15,7 @@ use self::finding::{find, first_labels};
 pub use self::frame_file::FrameFile;
 use self::frame_file::Object;
 use self::poses::{mirrored, world_from_six};
+use self::times::relative;
 use super::{Importer, Job, Kind};
 use crate::clouds::read_points;
 use crate::faults::{FaultsOfSweep, FileKind};
@@ -140,7 +142,14 @@ impl Layout for Family {
         let file = FrameFile::read(&files.labels);
         let said = faults.keep(FileKind::Labels, file.and_then(|file| self.said(&file, options)));
         let points = faults.keep(FileKind::Cloud, points(&files.cloud, options));
-        let sweep = said.zip(points).map(|(said, points)| RawSweep {
+        let timed = |(said, mut points): (Said, Points)| {
+            let timed = relative(&mut points, said.stated.stamp, options);
+            let timed = timed.map_err(|reason| ImportError::content(&files.cloud, reason));
+            timed.map(|()| (said, points))
+        };
+        let both = said.zip(points).map(timed);
+        let both = both.and_then(|both| faults.keep(FileKind::Cloud, both));
+        let sweep = both.map(|(said, points)| RawSweep {
             map_from_lidar: said.map_from_lidar,
             pose_of: said.pose_of,
             stated: said.stated,
@@ -165,6 +174,10 @@ impl Layout for Family {
         "all but those whose files say `scored: false`"
     }
 
+    fn placing(&self) -> &'static str {
+        "try --handed and --pose-key"
+    }
+
     fn assumed(&self, options: &Options) -> Vec<String> {
         let handed = match options.handed {
             Handed::Left => {
@@ -185,6 +198,13 @@ impl Layout for Family {
                 "a vehicle reaches from {x0} to {x1} m along its LiDAR and from {y0} to {y1} m across (--footprint)"
             ),
         ];
+        if self.clouds[0] == "bin" {
+            let columns = options.columns;
+            lines.push(format!(
+                "points in `.bin` are rows of {columns} float32: x, y, z, intensity{} (--columns)",
+                if columns > 4 { ", and what is not read" } else { "" }
+            ));
+        }
         lines.extend(self.note.map(String::from));
         lines
     }

@@ -158,6 +158,10 @@ impl Layout for KittiLayout {
         faults.or(sweep)
     }
 
+    fn placing(&self) -> &'static str {
+        "correct its poses"
+    }
+
     fn assumed(&self, _: &Options) -> Vec<String> {
         vec![
             "without poses.txt each frame is at the origin of the map: frames of the object benchmark do not follow each other".into(),

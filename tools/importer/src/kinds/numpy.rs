@@ -12,7 +12,7 @@ use self::array::{Array, Arrays, Items};
 use super::folders::{frame_of, list, name_of, scene_name};
 use super::{Importer, Job, Kind};
 use crate::faults::{FaultsOfSweep, FileKind};
-use crate::pcd::{Intensities, Points};
+use crate::pcd::{Intensities, IntensityFrom, Points};
 use crate::places::of_rows;
 use crate::scenes::{Found, Label, Layout, RawSweep, Scene, SceneAgent, Stated, SweepFiles, agent_name};
 use crate::{ImportError, Options};
@@ -167,6 +167,10 @@ impl Layout for NumpyLayout {
         };
         let sweep = faults.keep(FileKind::Cloud, read);
         faults.or(sweep)
+    }
+
+    fn placing(&self) -> &'static str {
+        "correct `pose` of the agents: from the frame of the LiDAR to the world"
     }
 
     fn assumed(&self, options: &Options) -> Vec<String> {
@@ -367,6 +371,9 @@ fn points(array: &Array) -> Result<Points, String> {
         values.push(row.get(3).map_or(0.0, |value| *value as f32));
     }
     points.intensity = Intensities::Others { kind, values };
+    if array.shape.last() == Some(&3) {
+        points.intensity_from = IntensityFrom::Nothing("three columns".into());
+    }
     Ok(points)
 }
 

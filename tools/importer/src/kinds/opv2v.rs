@@ -27,7 +27,7 @@ static KIND: Kind = Kind {
 
 static FAMILY: Family = Family {
     title: "OPV2V",
-    clouds: &["pcd", "bin"],
+    clouds: &["pcd", "bin", "ply"],
     labels_in: LabelFrame::World,
     agents_are_objects: true,
     has_speeds: true,

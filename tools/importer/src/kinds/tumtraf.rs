@@ -217,6 +217,10 @@ impl Layout for TumTrafLayout {
         faults.or(sweep)
     }
 
+    fn placing(&self) -> &'static str {
+        "try --pose-direction"
+    }
+
     fn assumed(&self, options: &Options) -> Vec<String> {
         let z = match options.box_place {
             BoxPlace::Middle => "the middle of the box",

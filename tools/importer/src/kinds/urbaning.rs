@@ -147,6 +147,10 @@ impl Layout for UrbaningLayout {
         faults.or(sweep)
     }
 
+    fn placing(&self) -> &'static str {
+        "try --pose-direction and --pose-key"
+    }
+
     fn assumed(&self, options: &Options) -> Vec<String> {
         let z = match options.box_place {
             BoxPlace::Middle => "the middle of the box",

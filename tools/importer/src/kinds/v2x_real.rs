@@ -27,7 +27,7 @@ static KIND: Kind = Kind {
 
 static FAMILY: Family = Family {
     title: "V2X-Real",
-    clouds: &["bin", "pcd"],
+    clouds: &["bin", "pcd", "ply"],
     labels_in: LabelFrame::World,
     agents_are_objects: false,
     // Its files say 0 for all.

@@ -17,6 +17,8 @@ pub struct Known {
     pub brightest: Brightest,
     /// Height of its LiDAR over the ground, m; 0 where its frames are levelled by the ground of each sweep.
     pub height: f64,
+    /// How times of its points are read, in words, where its files leave that open.
+    pub times: Option<String>,
     /// Its outline, m, where its files say it.
     pub footprint: Option<[f64; 4]>,
     /// What its files say besides what all do, in words.
@@ -31,14 +33,15 @@ impl Known {
     pub fn of(layout: &dyn Layout, scene: &Scene, agent: &SceneAgent, options: &Options) -> Result<Self, ImportError> {
         let (mut heights, mut reason) = (Vec::new(), None);
         let mut brightest = Brightest::of_range(options.intensity_range);
-        let mut by_files = Stated::default();
+        let (mut by_files, mut times) = (Stated::default(), None);
         let wanted = agent.sweeps.iter().filter(|(number, _)| options.wants_frame(**number));
         let needs_ground = options.level != Level::Ground && options.height_m.is_none();
         for (_, files) in wanted.take(LOOKED_AT) {
             let Ok(sweep) = layout.sweep(files, options) else {
                 continue;
             };
-            brightest.look_at(&sweep.points.intensity);
+            brightest.look_at(&sweep.points.intensity, &sweep.points.intensity_from);
+            times = times.or_else(|| sweep.points.times.clone());
             by_files = by_files.or(sweep.stated);
             if needs_ground && by_files.height.is_none() && heights.len() < GROUNDS {
                 match height(&sweep, options.level) {
@@ -69,6 +72,7 @@ impl Known {
         Ok(Known {
             brightest,
             height,
+            times,
             footprint: by_files.footprint,
             said: said
                 .into_iter()

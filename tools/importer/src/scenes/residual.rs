@@ -40,6 +40,9 @@ pub struct Residual {
     pub points: usize,
     /// What other places of the one to the other say.
     pub fit: Fit,
+    /// What to try where they do not fit, in words.
+    #[serde(skip)]
+    pub advice: &'static str,
 }
 
 /// Whether clouds fit best where the poses put them. A median says little of agents that see the same things from different sides.
@@ -66,15 +69,15 @@ impl fmt::Display for Residual {
         match self.fit {
             Fit::Elsewhere => write!(
                 f,
-                "; more fits elsewhere, so poses, frames, clocks or the hand are probably wrong: look at a picture of it, and try --handed \
-                 and --pose-key; in a map file of bags correct `pose`, `frame` or `offset`"
+                "; more fits elsewhere, so poses, frames, clocks or the hand are probably wrong: look at a picture of it, and {}",
+                self.advice
             ),
             Fit::Confirmed => Ok(()),
             _ if self.metres.is_some_and(|metres| metres <= FITS) => Ok(()),
             Fit::Unknown => write!(
                 f,
-                "; this does not show whether their poses are right: look at a picture of it; if points are not on the boxes, try --handed \
-                 and --pose-key"
+                "; this does not show whether their poses are right: look at a picture of it; if points are not on the boxes, {}",
+                self.advice
             ),
         }
     }
@@ -153,8 +156,8 @@ fn cell(point: &Vector3<f64>) -> [i64; 3] {
     [point.x, point.y, point.z].map(|metres| (metres / CELL).floor() as i64)
 }
 
-/// Compares the points of two agents; `None` where they have too little in common.
-pub fn residual(a: &Placed, b: &Placed) -> Option<Residual> {
+/// Compares the points of two agents; `None` where they have too little in common. `advice`: what to try where they do not fit.
+pub fn residual(a: &Placed, b: &Placed, advice: &'static str) -> Option<Residual> {
     let (ours, theirs) = (a.near(b), b.near(a));
     if ours.len() < LEAST || theirs.len() < LEAST {
         return None;
@@ -169,6 +172,7 @@ pub fn residual(a: &Placed, b: &Placed) -> Option<Residual> {
         metres: Some(distances[distances.len() / 2]).filter(|metres| *metres <= CELL),
         points: distances.len(),
         fit: cells.fit(&sample, &a.map_from_body.translation.vector),
+        advice,
     })
 }
 

@@ -27,6 +27,8 @@ pub struct AgentSummary {
     pub height_m: f64,
     /// How its intensities became bytes.
     pub intensities: String,
+    /// How times of its points are read, where its files leave that open.
+    pub times: String,
     /// Sweeps whose file has no pose of the LiDAR, by the key of another pose that was taken for it.
     pub poses_of: BTreeMap<String, usize>,
 }
@@ -93,6 +95,9 @@ impl fmt::Display for SceneSummary {
                 write!(f, ", LiDAR {:.2} m over the ground", agent.height_m)?;
             }
             write!(f, "\nintensities of `{name}`: {}", agent.intensities)?;
+            if !agent.times.is_empty() {
+                write!(f, "\ntimes of points of `{name}`: {}", agent.times)?;
+            }
         }
         let classes: Vec<String> = self.classes.iter().map(|(class, n)| format!("{n} {class}")).collect();
         write!(f, "\nlabels: {}", classes.join(", "))?;

@@ -138,6 +138,7 @@ impl<'a> SceneImport<'a> {
             name: agent.name.clone(),
             height_m: known.height,
             intensities: known.brightest.rule(),
+            times: known.times.clone().unwrap_or_default(),
             ..AgentSummary::default()
         };
         SceneSummary {
@@ -274,7 +275,8 @@ impl Writing<'_> {
             for b in &placed[index + 1..] {
                 let is_known = |known: &super::Residual| known.agents[0] == a.name && known.agents[1] == b.name;
                 if !self.summary.residuals.iter().any(is_known) {
-                    self.summary.residuals.extend(residual(a, b));
+                    let advice = self.import.layout.placing();
+                    self.summary.residuals.extend(residual(a, b, advice));
                 }
             }
         }

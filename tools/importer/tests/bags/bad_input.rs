@@ -127,6 +127,12 @@ fn what_is_no_bag_is_named() {
         ("empty.db3", b"", "an empty file"),
         ("text.mcap", b"hello", "found a file that begins with [68, 65"),
         ("old.bag", b"#ROSBAG V1.2\n", "rosbag fix"),
+        (
+            "some.pkl",
+            b"\x80\x04\x95\x08",
+            "a pickle of Python, which is never loaded",
+        ),
+        ("some.ply", b"ply\nformat ascii 1.0\n", "a cloud of PLY"),
         ("some.bag.gz", b"\x1f\x8b\x08\x00", "gunzip -k"),
         ("short.db3", b"SQLite format 3\0", "less than its head"),
     ] {

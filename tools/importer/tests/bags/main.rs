@@ -8,6 +8,7 @@ mod joined;
 mod motion;
 mod poses;
 mod real_files;
+mod said;
 mod wire;
 mod world;
 mod writers;

@@ -237,3 +237,33 @@ pub fn cloud(topic: &'static str, log_time: Nanos, stamp: Nanos, frame: &'static
         out.u8(0);
     })
 }
+
+/// A cube, or a marker of another type: its namespace, id, type, and pose of its middle.
+pub type Marker = (&'static str, u32, u32, [f64; 4]);
+
+/// A `MarkerArray` as the first version of ROS 2 has it, of markers of 4 × 2 × 1.5 m.
+pub fn markers(
+    topic: &'static str,
+    log_time: Nanos,
+    stamp: Nanos,
+    frame: &'static str,
+    markers: Vec<Marker>,
+) -> Recorded {
+    recorded(topic, "visualization_msgs/MarkerArray", log_time, move |out| {
+        out.u32(markers.len() as u32);
+        for (namespace, id, kind, at) in &markers {
+            out.header(stamp, frame);
+            out.text(namespace);
+            [*id, *kind, 0].into_iter().for_each(|number| out.u32(number));
+            out.f64s(&seven(*at));
+            out.f64s(&[4.0, 2.0, 1.5]);
+            // Colour, lifetime, and no points, colours, text or mesh.
+            [0; 4 + 2].into_iter().for_each(|word| out.u32(word));
+            out.u8(0);
+            [0; 2].into_iter().for_each(|word| out.u32(word));
+            out.text("");
+            out.text("");
+            out.u8(0);
+        }
+    })
+}

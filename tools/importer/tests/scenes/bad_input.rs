@@ -289,3 +289,25 @@ fn rows_of_another_width_are_refused_and_can_be_set() {
     }
     import("v2x-real", &data, &out, &[("columns", "5")]).unwrap();
 }
+
+#[test]
+fn rows_of_another_width_that_fit_by_chance_are_refused() {
+    let (_dir, data, out) = made(&V2X_REAL);
+    for agent in ["641", "650", "-1"] {
+        for number in 30..33 {
+            let file = data.join(format!("scene/{agent}/{number:06}.bin"));
+            let rows = fs::read(&file).unwrap();
+            let wide = rows.chunks(16).flat_map(|row| [row, &3f32.to_le_bytes()[..]].concat());
+            let wide: Vec<u8> = wide.collect();
+            write(&file, &wide[..wide.len() - wide.len() % 80]);
+        }
+    }
+    let error = import("v2x-real", &data, &out, &[]).unwrap_err();
+    assert!(
+        error.contains("read as rows of 4 float32") && error.contains("give --columns 5"),
+        "{error}"
+    );
+    let summary = import("v2x-real", &data, &out, &[("columns", "5")]).unwrap().remove(0);
+    let said = summary.to_string();
+    assert!(said.contains("points in `.bin` are rows of 5 float32"), "{said}");
+}

@@ -469,3 +469,128 @@ fn names_stamps_and_outlines_that_the_files_say_count_before_guesses() {
         "{error}"
     );
 }
+
+/// Rewrites the clouds of a scene of OPV2V: the head's fields, and each row of x, y, z and intensity.
+fn rewrite(made: &Made, head: [&str; 3], row: impl Fn(usize, &[u8]) -> Vec<u8>) {
+    for folder in ["641", "650"] {
+        for number in [68, 70, 72] {
+            let path = made.labels(folder, number).with_extension("pcd");
+            let file = fs::read(&path).unwrap();
+            let at = file.windows(12).position(|part| part == b"DATA binary\n").unwrap() + 12;
+            let count = file[at..].len() / 16;
+            let [fields, sizes, types] = head;
+            let mut changed = format!(
+                "VERSION 0.7\nFIELDS {fields}\nSIZE {sizes}\nTYPE {types}\nWIDTH {count}\nHEIGHT 1\nPOINTS {count}\nDATA binary\n"
+            )
+            .into_bytes();
+            changed.extend(
+                file[at..]
+                    .chunks(16)
+                    .enumerate()
+                    .flat_map(|(index, bytes)| row(index, bytes)),
+            );
+            write(&path, &changed);
+        }
+    }
+}
+
+#[test]
+fn intensities_come_from_the_grey_of_colours_or_are_said_to_be_missing() {
+    for (head, alpha, said, expected) in [
+        (
+            ["x y z rgb", "4 4 4 4", "F F F F"],
+            0,
+            "of the colour `rgb`, its first channel",
+            200,
+        ),
+        (
+            ["x y z rgb", "4 4 4 4", "F F F F"],
+            255,
+            "of the colour `rgb`, its first channel",
+            200,
+        ),
+        (
+            ["x y z rgba", "4 4 4 4", "F F F U"],
+            255,
+            "of the colour `rgba`, its first channel",
+            200,
+        ),
+        (
+            ["x y z shade", "4 4 4 4", "F F F U"],
+            0,
+            "NONE, all are 0: the clouds have x, y, z, shade",
+            0,
+        ),
+    ] {
+        let made = Made::new(&OPV2V);
+        rewrite(&made, head, |_, bytes| [&bytes[..12], &[200, 200, 200, alpha]].concat());
+        let summary = made.import(&[]).unwrap().to_string();
+        let line = format!("intensities of `cav_641`: {said}");
+        assert!(summary.contains(&line), "{line} is not in\n{summary}");
+        let (_, found) = read(&made.out());
+        for sweep in found.values() {
+            let cloud = sweep.cloud.as_ref().unwrap();
+            assert!(cloud.intensity.iter().all(|byte| *byte == expected), "{head:?} {alpha}");
+        }
+    }
+    let made = Made::new(&OPV2V);
+    rewrite(&made, ["x y z reflectivity", "4 4 4 4", "F F F F"], |_, bytes| {
+        bytes.to_vec()
+    });
+    let summary = made.import(&[]).unwrap().to_string();
+    assert!(
+        summary.contains("intensities of `cav_641`: of the field `reflectivity`: float32"),
+        "{summary}"
+    );
+}
+
+#[test]
+fn times_of_points_count_from_the_first_of_their_sweep() {
+    for (begin, end) in [(1_700_000_000.0, "start"), (0.0, "start"), (0.0, "end")] {
+        let made = Made::new(&OPV2V);
+        let head = ["x y z intensity timestamp", "4 4 4 4 8", "F F F F F"];
+        rewrite(&made, head, |index, bytes| {
+            let time: f64 = begin + 1e-5 * index as f64;
+            [bytes, &time.to_le_bytes()].concat()
+        });
+        let summary = made.import(&[("stamp", end)]).unwrap().to_string();
+        let which = if end == "start" { "first" } else { "last" };
+        let line = format!("times of points of `cav_641`: the field `timestamp` (s), from the {which} of each sweep");
+        assert!(summary.contains(&line), "{summary}");
+        let (_, found) = read(&made.out());
+        for sweep in found.values() {
+            let times = &sweep.cloud.as_ref().unwrap().time;
+            let near = |time: i32, expected: i32| (time - expected).abs() < 1000;
+            let span = 10_000 * (times.len() as i32 - 1);
+            let first = if end == "start" { 0 } else { -span };
+            assert!(
+                near(times[0], first) && near(times[times.len() - 1], first + span),
+                "{begin} {end}"
+            );
+        }
+    }
+}
+
+#[test]
+fn clouds_of_ply_are_read_as_those_of_pcd() {
+    let made = Made::new(&OPV2V);
+    made.import(&[]).unwrap();
+    let expected = content(&made.out());
+    fs::remove_file(made.out()).unwrap();
+    for folder in ["641", "650"] {
+        for number in [68, 70, 72] {
+            let path = made.labels(folder, number).with_extension("pcd");
+            let file = fs::read(&path).unwrap();
+            let at = file.windows(12).position(|part| part == b"DATA binary\n").unwrap() + 12;
+            let head = format!(
+                "ply\nformat binary_little_endian 1.0\nelement vertex {}\nproperty float x\nproperty float y\nproperty float z\n\
+                 property float intensity\nend_header\n",
+                file[at..].len() / 16
+            );
+            fs::remove_file(&path).unwrap();
+            write(&path.with_extension("ply"), &[head.as_bytes(), &file[at..]].concat());
+        }
+    }
+    made.import(&[]).unwrap();
+    assert_eq!(content(&made.out()), expected);
+}

@@ -79,6 +79,15 @@ pub fn recording_of(run: &Path) -> Result<PathBuf> {
     if run.is_file() {
         return Ok(run.into());
     }
+    if !run.exists() {
+        bail!("{}: no such file or folder; correct the path", run.display());
+    }
+    if run.join("metadata.yaml").is_file() {
+        let path = run.display();
+        bail!(
+            "{path}: found the folder of a bag of ROS 2, expected a log or a recording: make a log of it by `realo-lab import bag {path} -o my.mcap`"
+        );
+    }
     let mut found = Vec::new();
     let mut folders = vec![(run.to_path_buf(), 0)];
     while let Some((folder, depth)) = folders.pop() {
@@ -110,5 +119,26 @@ pub fn recording_of(run: &Path) -> Result<PathBuf> {
                 named.join(", ")
             )
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn what_is_not_there_and_bags_are_named() {
+        let dir = tempfile::tempdir().unwrap();
+        let error = |path: &Path| recording_of(path).unwrap_err().to_string();
+        let said = error(&dir.path().join("nothere.mcap"));
+        assert!(said.contains("nothere.mcap: no such file or folder"), "{said}");
+        let said = error(dir.path());
+        assert!(said.contains("expected the folder of a run"), "{said}");
+        std::fs::write(dir.path().join("metadata.yaml"), "").unwrap();
+        let said = error(dir.path());
+        assert!(
+            said.contains("a bag of ROS 2") && said.contains("realo-lab import bag"),
+            "{said}"
+        );
     }
 }

@@ -18,6 +18,12 @@ pub struct Format {
     pub(super) pixels: usize,
     /// Columns of the part of a turn that is sent.
     pub(super) window: usize,
+    /// The serial number of the sensor.
+    pub(super) serial: Option<u64>,
+    /// The number of its start.
+    pub(super) start: Option<u64>,
+    /// Ports of the packets of points and of the inertial unit.
+    pub(crate) ports: [Option<u64>; 2],
     model: String,
     /// Altitude and azimuth of each beam, rad.
     beams: Vec<[f64; 2]>,
@@ -80,11 +86,10 @@ impl Format {
             columns_per_packet: count("columns_per_packet")?,
             pixels,
             window: window(data, columns_per_frame),
-            model: root["prod_line"]
-                .as_str()
-                .or(info["prod_line"].as_str())
-                .unwrap_or("Ouster")
-                .to_string(),
+            serial: whole(get(if info.is_null() { &root } else { info }, &["prod_sn"])),
+            start: whole(get(if info.is_null() { &root } else { info }, &["initialization_id"])),
+            ports: ["udp_port_lidar", "udp_port_imu"].map(|name| whole(&config[name]).or(whole(&root[name]))),
+            model: model_of(&root, info),
             beams: altitudes
                 .into_iter()
                 .zip(azimuths)
@@ -98,6 +103,17 @@ impl Format {
     /// Packets of a turn.
     pub fn packets_per_frame(&self) -> usize {
         self.columns_per_frame.div_ceil(self.columns_per_packet)
+    }
+
+    /// Why the columns of so many packets are of a mode with half as many or fewer; `most`: the last of a turn.
+    pub fn too_few_columns(&self, most: usize, packets: usize) -> Option<String> {
+        let is_turn = packets >= self.packets_per_frame() && self.window == self.columns_per_frame;
+        (is_turn && 2 * (most + 1) <= self.columns_per_frame).then(|| {
+            format!(
+                "expected columns 0 to {} of a turn, found none beyond {most}; see whether the metadata are of this mode of the sensor",
+                self.columns_per_frame - 1
+            )
+        })
     }
 
     /// The sensor in words.
@@ -146,6 +162,16 @@ fn get<'a>(root: &'a Value, keys: &[&str]) -> &'a Value {
         .map(|key| &root[*key])
         .find(|value| !value.is_null())
         .unwrap_or(&Value::Null)
+}
+
+fn model_of(root: &Value, info: &Value) -> String {
+    let named = root["prod_line"].as_str().or(info["prod_line"].as_str());
+    named.unwrap_or("Ouster").to_string()
+}
+
+/// A whole number, or a text of one.
+fn whole(value: &Value) -> Option<u64> {
+    value.as_u64().or_else(|| value.as_str()?.parse().ok())
 }
 
 fn count(data: &Value, name: &str) -> Result<usize, String> {

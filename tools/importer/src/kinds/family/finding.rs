@@ -228,10 +228,12 @@ pub fn find(dir: &Path, clouds: &[&'static str], roadside: &[&str], options: &Op
             true => String::new(),
             false => format!("\n{}", found.faults.listed()),
         };
+        // PLY is read, and what no set is shipped in.
+        let usual: Vec<&str> = clouds.into_iter().filter(|end| *end != "ply").collect();
         let reason = format!(
             "expected SCENE/AGENT/000000.yaml with 000000.{} beside it, at most {DEEPEST} folders down, found none; unpack the data \
              set, or see what `import auto` says of this folder{missing}",
-            clouds.join(" or .")
+            usual.join(" or .")
         );
         return Err(ImportError::content(dir, reason));
     }
