@@ -41,6 +41,8 @@ pub(crate) struct Track {
     places: [Option<Place>; 3],
     /// Contradictions one after the other: of lengths, of turns.
     against: [u32; 2],
+    /// Whether the IMU turned as GNSS did in the last turn.
+    is_turning_right: bool,
     /// How far the wheels went, m.
     way: f64,
     wheels: Option<(Nanos, f64)>,
@@ -171,6 +173,7 @@ impl Track {
             let is_off = normalize_yaw(by_gnss - by_imu).abs() > TURNS;
             if by_gnss.abs().max(by_imu.abs()) >= TURN {
                 self.against[1] = if is_off { self.against[1] + 1 } else { 0 };
+                self.is_turning_right = !is_off;
             }
         }
         if self.against[0] >= OFTEN[0] {
@@ -186,6 +189,9 @@ impl Track {
         match (lateral, forward) {
             (Some(lateral), Some(forward)) if lateral.max(forward) < OPPOSITE => Some(Fault::WheelTrack),
             (Some(lateral), Some(forward)) if lateral.min(forward) < NONE => Some(Fault::ImuTrack),
+            // Speed has not changed enough yet: a gyro that is right leaves the wheels.
+            (Some(lateral), None) if lateral < OPPOSITE && self.is_turning_right => Some(Fault::WheelTrack),
+            (Some(lateral), None) if (OPPOSITE..NONE).contains(&lateral) => Some(Fault::ImuTrack),
             _ => None,
         }
     }

@@ -17,9 +17,9 @@ use crate::sample::Sample;
 /// How far [`Search::Wide`](super::Search::Wide) looks around a guess: voxels, degrees.
 const REACH: [f64; 2] = [6.0, 12.0];
 /// So many starts go on where the heading is known, and where it is not.
-const BEST: [usize; 2] = [8, 14];
+const BEST: [usize; 2] = [6, 12];
 /// So many points are enough for comparing where they lead.
-const POINTS: usize = 500;
+const POINTS: usize = 350;
 /// Widths of the kernel, first and last, in voxels, and the factor from one step to the next.
 const WIDTHS: [f64; 2] = [0.75, 0.2];
 const NARROWING: f64 = 0.7;
