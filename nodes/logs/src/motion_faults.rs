@@ -2,6 +2,7 @@
 
 use realo_schemas::{GnssFix, ImuSample, Motion, Nanos, WheelSpeed, to_seconds};
 
+use crate::motion_turns::{Place, turn_faults};
 use crate::words::seconds;
 use crate::{Log, LogError, Stream};
 
@@ -49,6 +50,7 @@ pub(crate) fn motion_faults(log: &Log, agent: &str) -> Result<Vec<String>, LogEr
         let faults = [
             disorder(&stamps),
             imu_faults(&all.imu),
+            turn_faults(&all.imu, &poses),
             fix_faults(&all.fixes, &poses),
             wheel_faults(&all.wheels, &poses),
         ];
@@ -198,9 +200,6 @@ fn gravity(samples: &[ImuSample]) -> Option<String> {
         "the mean specific force is ({x:.2}, {y:.2}, {z:.2}), expected about (0, 0, 9.8) m/s² in the body's axes; {words}"
     ))
 }
-
-/// Stamp and place of a pose.
-type Place = (Nanos, [f64; 3]);
 
 fn positions(log: &Log, agent: &str) -> Result<Vec<Place>, LogError> {
     if !log.has(agent, Stream::Pose) {

@@ -7,15 +7,25 @@ use realo_schemas::geometry::yaw_of;
 use realo_schemas::{AgentState, Header, Motion, Nanos, PointCloud, PoseStatus};
 use realo_state_estimation as estimation;
 use realo_state_estimation::{
-    Estimate, Estimator, HoldEstimator, HoldSettings, Measured, Mounting, Sample, ScanPose, Status, Unit, deskewed,
-    level_pose, unit_of,
+    Estimate, Estimator, HoldEstimator, HoldSettings, Measured, Mounting, Sample, ScanPose, Status, Unit, Verdict,
+    deskewed, level_pose, unit_of,
 };
 
 use crate::faults::{Reported, SCAN_FEW_POINTS, SCAN_OFF_MAP, SCAN_UNFIT, SCANS, SEARCHES, Taken};
 use crate::place::{Found, FoundPose, Guess, Place};
 
 /// From one search in all directions to the next, ns: it takes long.
-const SEARCH_PERIOD: Nanos = 1_000_000_000;
+const SEARCH_PERIOD: Nanos = 500_000_000;
+/// A vehicle that was never found on the map is looked for so far around its fix, m: receivers without corrections are metres off for
+/// minutes. Later it is looked for so far around the estimate, m, and by so many standard deviations more.
+const AT_START: f64 = 15.0;
+const LATER: (f64, f64) = (5.0, 3.0);
+/// A sweep that was found, but does not tell the estimate yet, leads to the next for so long, ns; and all such sweeps for so long.
+const LEADS: Nanos = 500_000_000;
+const FOLLOWED: Nanos = 5_000_000_000;
+/// How far the next sweep may be from where it leads, m; where the motion between is known, it is known to so much, m and rad.
+const NEAR: f64 = 4.0;
+const LED: [f64; 2] = [0.5, 0.03];
 /// From one look at a unit that is held to the next, ns.
 const WATCH_PERIOD: Nanos = 1_000_000_000;
 /// What is added to the covariance of each sweep's pose: standard deviations of position, m, and turn, rad.
@@ -39,6 +49,23 @@ enum Filter {
     Held(Box<HoldEstimator>),
 }
 
+/// Where a sweep was found.
+#[derive(Clone, Copy)]
+struct Tried {
+    /// When the first of such sweeps was taken, and this one.
+    since: Nanos,
+    stamp: Nanos,
+    map_from_body: Isometry3<f64>,
+}
+
+impl Tried {
+    /// Whether a sweep may be looked for by it.
+    fn leads_to(&self, stamp: Nanos) -> bool {
+        let after = |earlier: Nanos| stamp.saturating_sub(earlier);
+        (0..=LEADS).contains(&after(self.stamp)) && after(self.since) <= FOLLOWED
+    }
+}
+
 /// An agent and what is known of it.
 pub(crate) struct Agent {
     is_roadside: bool,
@@ -52,8 +79,10 @@ pub(crate) struct Agent {
     measured: Measured,
     /// When a sweep was looked for in all directions, or a held unit was looked at.
     looked: Option<Nanos>,
-    /// The last pose of a roadside unit that is being localised.
-    tried: Option<Isometry3<f64>>,
+    /// Where the last sweep was found, if that does not tell the estimate yet.
+    tried: Option<Tried>,
+    /// Whether a sweep ever told a vehicle's estimate.
+    is_on_map: bool,
     /// How much of the last sweep that was found fits the map.
     share: f64,
     taken: Taken,
@@ -72,6 +101,7 @@ impl Agent {
             measured: Measured::default(),
             looked: None,
             tried: None,
+            is_on_map: false,
             share: 1.0,
             taken: Taken::default(),
             reported: Reported::default(),
@@ -237,66 +267,108 @@ impl Agent {
         } = *found;
         out.count(&SCANS, agent, 1);
         self.taken.scans += 1;
-        (self.tried, self.share) = (Some(map_from_body), share);
+        self.share = share;
         let scan = Sample::Scan(Box::new(ScanPose {
             stamp,
             map_from_body,
             information,
         }));
-        match &mut self.filter {
-            Some(Filter::Vehicle(estimator)) => _ = estimator.take(&scan),
-            Some(Filter::Held(held)) => _ = held.take(&scan),
-            None => {}
-        }
+        let is_used = match &mut self.filter {
+            Some(Filter::Vehicle(estimator)) => estimator.take(&scan) == Verdict::Used,
+            Some(Filter::Held(held)) => {
+                held.take(&scan);
+                false
+            }
+            None => false,
+        };
+        self.is_on_map |= is_used;
+        let leads = self.tried.filter(|tried| tried.leads_to(stamp));
+        let since = leads.map_or(stamp, |tried| tried.since);
+        let tried = Tried {
+            since,
+            stamp,
+            map_from_body,
+        };
+        self.tried = (!is_used).then_some(tried);
     }
 
     /// Where to look for a sweep; `None` where it is not known, or not worth it now.
     fn guess(&mut self, stamp: Nanos) -> Option<Guess> {
         let estimate = self.estimate_at(stamp)?;
-        let position = estimate.map_from_body.translation.vector;
         let known = Guess {
-            position,
             yaw: Some(yaw_of(&estimate.map_from_body.rotation)),
-            sigmas: [estimate.position_sigma(), estimate.heading_sigma()],
+            radius: self.radius(estimate.position_sigma()),
             is_height_unsure: estimate.covariance[(2, 2)] > 0.25,
+            ..sure(
+                &estimate.map_from_body,
+                [estimate.position_sigma(), estimate.heading_sigma()],
+            )
         };
-        let is_due =
-            |looked: Option<Nanos>, period: Nanos| looked.is_none_or(|looked| stamp.saturating_sub(looked) >= period);
         let is_held = matches!(self.filter, Some(Filter::Held(_)));
         // Without a heading the estimate is a fix's position, or a mean of them.
         let has_heading = estimate.heading_sigma() < 1.0;
-        match (is_held, has_heading, &self.tried) {
-            (true, true, _) => {
-                let is_due = is_due(self.looked, WATCH_PERIOD);
-                self.looked = if is_due { Some(stamp) } else { self.looked };
-                is_due.then_some(known)
-            }
-            (true, false, Some(tried)) => Some(Guess {
-                position: tried.translation.vector,
-                yaw: Some(yaw_of(&tried.rotation)),
-                sigmas: [0.0; 2],
-                is_height_unsure: false,
-            }),
+        match (is_held, has_heading, self.tried) {
+            (true, true, _) => self.is_due(stamp, WATCH_PERIOD).then_some(known),
+            (true, false, Some(tried)) => Some(sure(&tried.map_from_body, [0.0; 2])),
+            (false, _, Some(tried)) if tried.leads_to(stamp) => Some(self.led(&tried, &estimate, has_heading)),
             (false, true, _) => Some(known),
-            (_, false, _) => {
-                let is_due = is_due(self.looked, SEARCH_PERIOD);
-                self.looked = if is_due { Some(stamp) } else { self.looked };
-                is_due.then_some(Guess {
-                    yaw: None,
-                    is_height_unsure: true,
-                    ..known
-                })
-            }
+            (_, false, _) => self.is_due(stamp, SEARCH_PERIOD).then_some(Guess {
+                yaw: None,
+                is_height_unsure: true,
+                ..known
+            }),
         }
     }
 
+    /// Where the sweep before leads.
+    fn led(&self, tried: &Tried, estimate: &Estimate, has_heading: bool) -> Guess {
+        match self.estimate_at(tried.stamp).filter(|_| has_heading) {
+            Some(before) => {
+                let moved = level_pose(&before).inverse() * level_pose(estimate);
+                sure(&(tried.map_from_body * moved), LED)
+            }
+            None => Guess {
+                radius: NEAR,
+                ..sure(&tried.map_from_body, [NEAR, 0.0])
+            },
+        }
+    }
+
+    /// How far around the estimate the agent may be, m.
+    fn radius(&self, sigma: f64) -> f64 {
+        match self.is_on_map {
+            true => (LATER.0 + LATER.1 * sigma).min(AT_START),
+            false => AT_START,
+        }
+    }
+
+    /// Whether it is time for a look that comes seldom.
+    fn is_due(&mut self, stamp: Nanos, period: Nanos) -> bool {
+        let is_due = self.looked.is_none_or(|looked| stamp.saturating_sub(looked) >= period);
+        if is_due {
+            self.looked = Some(stamp);
+        }
+        is_due
+    }
+
     fn report<O: StageOutputs>(&mut self, agent: &str, out: &mut Outputs<O>) {
-        let faults = match &self.filter {
-            Some(Filter::Vehicle(estimator)) => estimator.faults(),
-            Some(Filter::Held(held)) => held.faults(),
+        let (faults, offset) = match &self.filter {
+            Some(Filter::Vehicle(estimator)) => (estimator.faults(), estimator.gnss_offset()),
+            Some(Filter::Held(held)) => (held.faults(), None),
             None => return,
         };
-        self.reported.count(agent, &faults, &self.taken, out);
+        self.reported.count(agent, &faults, &self.taken, offset, out);
+    }
+}
+
+/// A guess that is a pose, known to so much, m and rad.
+fn sure(map_from_body: &Isometry3<f64>, sigmas: [f64; 2]) -> Guess {
+    Guess {
+        position: map_from_body.translation.vector,
+        yaw: Some(yaw_of(&map_from_body.rotation)),
+        sigmas,
+        radius: NEAR,
+        is_height_unsure: false,
     }
 }
 

@@ -64,6 +64,11 @@ const fn fault(name: &'static str, about: &'static str, note: &'static str, reme
     Counter::loss(name, about, note, remedy).quiet_up_to(1)
 }
 
+/// A fault that is no chance, however seldom it is counted.
+const fn certain(name: &'static str, about: &'static str, note: &'static str, remedy: &'static str) -> Counter {
+    Counter::loss(name, about, note, remedy)
+}
+
 const SENSORS: &str = "`realo info` says what is wrong with which topic";
 const LOG: &str = "look at the log: stamps of motion sensors must rise and be of one clock";
 
@@ -104,6 +109,18 @@ const FAULTS: [Counter; Fault::ALL.len()] = [
         "gaps between IMU samples that are longer than 50 ms",
         "gaps between samples of the IMU were bridged without it",
         SENSORS,
+    ),
+    certain(
+        "imu_silent",
+        "GNSS fixes without a usable IMU sample in the second before",
+        "positions of GNSS came without any usable sample of the IMU in the second before",
+        SENSORS,
+    ),
+    certain(
+        "imu_track",
+        "times in which turns or accelerations of the IMU contradict the track of GNSS and the wheels",
+        "times were found in which turns or accelerations of the IMU contradict the track of GNSS and the wheels",
+        "correct the signs and axes of the IMU's rates and forces, or its frame in `/tf_static`",
     ),
     fault(
         "gnss_not_finite",
@@ -147,6 +164,18 @@ const FAULTS: [Counter; Fault::ALL.len()] = [
         "estimates were given up, because GNSS contradicted them for long",
         "{node} began anew; is it the map of this place?",
     ),
+    certain(
+        "gnss_track",
+        "estimates that were given up at once, because GNSS fixes that agree with each other left them behind",
+        "estimates were given up, because positions of GNSS agreed with each other and left them behind",
+        "IMU or wheels are wrong: the other notes of {node} and `realo info` say which",
+    ),
+    fault(
+        "gnss_offset",
+        "GNSS fixes that are off by metres for seconds, by sweeps on the map, which are believed (`source=map`)",
+        "positions of GNSS contradict the map, which was believed, because sweeps on it agree with wheels and IMU",
+        "a receiver without corrections is off by metres for minutes; if it has corrections, is the map in the frame of `map_origin`?",
+    ),
     fault(
         "wheel_not_finite",
         "wheel speeds that are NaN, infinite or beyond any vehicle's",
@@ -164,6 +193,12 @@ const FAULTS: [Counter; Fault::ALL.len()] = [
         "motion across the wheels that chance does not explain",
         "times were found in which the vehicle moved across its wheels",
         "after a skid all is well again; otherwise correct the frame of the wheels in `/tf_static`",
+    ),
+    certain(
+        "wheel_track",
+        "times in which the wheels contradict the track of GNSS, or turn against the IMU's accelerations",
+        "times were found in which the wheels contradict the track of GNSS, or turn against the IMU's accelerations",
+        "speeds are m/s, and positive forwards",
     ),
     fault(
         "scan_not_finite",
@@ -269,6 +304,9 @@ pub(crate) struct Taken {
 impl Taken {
     /// Of which there are so many that may have a fault.
     fn of(&self, fault: Fault) -> u64 {
+        if fault == Fault::ImuSilent {
+            return self.fixes;
+        }
         match fault.name().split('_').next() {
             Some("imu" | "gyro") => self.imu,
             Some("gnss") => self.fixes,
@@ -295,7 +333,16 @@ impl Default for Reported {
 
 impl Reported {
     /// Counts what is new; faults that never happened are not mentioned.
-    pub fn count<O: StageOutputs>(&mut self, agent: &str, faults: &Faults, taken: &Taken, out: &mut Outputs<O>) {
+    ///
+    /// `gnss_offset`: by how much GNSS and map disagree, m.
+    pub fn count<O: StageOutputs>(
+        &mut self,
+        agent: &str,
+        faults: &Faults,
+        taken: &Taken,
+        gnss_offset: Option<f64>,
+        out: &mut Outputs<O>,
+    ) {
         for fault in Fault::ALL {
             let (known, of) = (&mut self.counts[fault as usize], &mut self.of[fault as usize]);
             // Samples that come late change what was wrong with later ones.
@@ -306,6 +353,10 @@ impl Reported {
                 out.count_of(counter(fault), agent, new, all.saturating_sub(*of));
                 *of = all;
             }
+        }
+        if let Some(off) = gnss_offset {
+            let words = || format!("GNSS and map disagree by {off:.1} m");
+            out.found(counter(Fault::GnssOffset), agent, words);
         }
     }
 }

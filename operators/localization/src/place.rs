@@ -5,20 +5,16 @@ use std::path::Path;
 
 use nalgebra::{Isometry3, Matrix6, Vector3};
 use realo_registration::{
-    AlignError, Alignment, MapError, Registrar, RegistrarSettings, Search, SettingError, VoxelMap,
+    AlignError, Alignment, Around, MapError, Registrar, RegistrarSettings, Search, SettingError, VoxelMap,
 };
 use realo_schemas::PointCloud;
-use realo_schemas::geometry::normalize_yaw;
 use realo_state_estimation::level;
 
-/// Headings that are tried where none is known.
-const HEADINGS: u32 = 24;
-/// The best of them are looked at closely.
-const CLOSELY: usize = 3;
-/// Another heading that fits nearly as well makes both doubtful: by so much of the share.
+/// Another pose that fits nearly as well makes both doubtful, in all directions or so far around, m: by so much of the share.
 const DISTINCT: f64 = 0.08;
-/// Headings that differ by less are one, rad.
-const ONE_HEADING: f64 = 0.35;
+const FAR_AROUND: f64 = 7.0;
+/// Headings are looked for so far to either side at least, rad, and by so many standard deviations.
+const TURN: (f64, f64) = (0.18, 3.0);
 /// A guess that is known to so much is tracked, m and rad; of any other a wider neighbourhood is searched.
 const TRACKED: [f64; 2] = [0.6, 0.035];
 /// Where a map ends, this part of the share is enough, if of the points in its voxels so many are near its surfaces.
@@ -55,8 +51,6 @@ pub enum PlaceError {
 pub(crate) struct Place {
     map: VoxelMap,
     registrar: Registrar,
-    /// Quick and coarse: ranks headings.
-    scout: Registrar,
     /// Height of the lowest voxel, m.
     ground: BTreeMap<[i32; 2], f64>,
     min_share: f64,
@@ -72,6 +66,8 @@ pub(crate) struct Guess {
     pub yaw: Option<f64>,
     /// Standard deviations of place and heading, m and rad.
     pub sigmas: [f64; 2],
+    /// How far around it may be, m.
+    pub radius: f64,
     /// Whether the height is of GNSS alone, so that the ground of the map knows it better.
     pub is_height_unsure: bool,
 }
@@ -133,17 +129,11 @@ impl Place {
             let height = ground.entry(cell(&voxel.mean.coords)).or_insert(voxel.mean.z);
             *height = height.min(voxel.mean.z);
         }
-        let scout = RegistrarSettings {
-            sample_m: 2.0,
-            min_points: 50,
-            max_iterations: 10,
-            ..RegistrarSettings::default()
-        };
+        map.prepare();
         let place = Place {
             by_poses: by_poses(&map.info().pose_sigmas),
             map,
             registrar: Registrar::new(RegistrarSettings::default())?,
-            scout: Registrar::new(scout)?,
             ground,
             min_share,
         };
@@ -177,16 +167,9 @@ impl Place {
         if guess.is_height_unsure {
             position.z = ground;
         }
-        let Some(yaw) = guess.yaw else {
-            return match self.in_all_directions(cloud, &position) {
-                Ok(Some(best)) if self.fits(&best) => Found::of(best),
-                Ok(_) => Found::Unfit,
-                Err(error) => error.into(),
-            };
-        };
-        let start = level(&position, yaw);
+        let start = level(&position, guess.yaw.unwrap_or(0.0));
         let [place, turn] = guess.sigmas;
-        let is_known = place <= TRACKED[0] && turn <= TRACKED[1];
+        let is_known = guess.yaw.is_some() && place <= TRACKED[0] && turn <= TRACKED[1];
         if is_known {
             match self.registrar.align(&self.map, cloud, &start, Search::Track) {
                 Ok(found) if self.fits(&found) || self.fits_in_part(&found) => return Found::of(found),
@@ -194,9 +177,20 @@ impl Place {
                 Err(error) => return error.into(),
             }
         }
-        match self.registrar.align(&self.map, cloud, &start, Search::Wide) {
-            Ok(found) if self.fits(&found) => Found::of(found),
-            Ok(_) => Found::Unfit,
+        let around = Around {
+            guess: start,
+            radius_m: guess.radius,
+            turn_rad: guess.yaw.map_or(std::f64::consts::PI, |_| TURN.0.max(TURN.1 * turn)),
+        };
+        match self.registrar.find(&self.map, cloud, &around) {
+            Ok(found) => {
+                let is_near = guess.yaw.is_some() && guess.radius <= FAR_AROUND;
+                let is_distinct = is_near || found.ahead >= DISTINCT;
+                match is_distinct && self.fits(&found.best) {
+                    true => Found::of(found.best),
+                    false => Found::Unfit,
+                }
+            }
             Err(error) => error.into(),
         }
     }
@@ -208,38 +202,6 @@ impl Place {
     /// Whether a sweep that is known to be near fits what there is of the map: at its ends, and in its gaps.
     fn fits_in_part(&self, alignment: &Alignment) -> bool {
         alignment.is_settled() && alignment.structure_share >= PART * self.min_share && alignment.met_share >= MET_SHARE
-    }
-
-    /// The pose that fits best of all headings around a place; `None` where another heading nearly fits as well.
-    fn in_all_directions(
-        &mut self,
-        cloud: &PointCloud,
-        position: &Vector3<f64>,
-    ) -> Result<Option<Alignment>, AlignError> {
-        let mut ranked = Vec::new();
-        for step in 0..HEADINGS {
-            let yaw = std::f64::consts::TAU * f64::from(step) / f64::from(HEADINGS);
-            ranked.push(
-                self.scout
-                    .align(&self.map, cloud, &level(position, yaw), Search::Wide)?,
-            );
-        }
-        ranked.sort_by(|a, b| b.structure_share.total_cmp(&a.structure_share));
-        let mut close = Vec::new();
-        for coarse in ranked.iter().take(CLOSELY) {
-            close.push(
-                self.registrar
-                    .align(&self.map, cloud, &coarse.map_from_body, Search::Wide)?,
-            );
-        }
-        close.sort_by(|a, b| b.structure_share.total_cmp(&a.structure_share));
-        let best = close.swap_remove(0);
-        let heading = |found: &Alignment| realo_schemas::geometry::yaw_of(&found.map_from_body.rotation);
-        let is_other = |found: &&Alignment| normalize_yaw(heading(found) - heading(&best)).abs() > ONE_HEADING;
-        let others = ranked.iter().chain(&close).filter(is_other);
-        let next = others.map(|found| found.structure_share).fold(0.0, f64::max);
-        let is_distinct = best.structure_share >= next + DISTINCT;
-        Ok(is_distinct.then_some(best))
     }
 }
 

@@ -279,6 +279,29 @@ fn a_map_makes_it_exact_and_carries_it_through_a_tunnel() {
 }
 
 #[test]
+fn the_map_is_believed_where_a_receiver_is_off_by_metres() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("street.map");
+    let street = street();
+    map(&street, &path, 0.0);
+    for off in [5.0, 10.0] {
+        let mut run = Run::new("cav1", Source::Map, &path);
+        let drive = run.drive(
+            0..60,
+            |number| sweep(&street, &truth(0.1 * number as f64), number),
+            |_, motion| motion.fixes.iter_mut().for_each(|fix| fix.position[1] += off),
+        );
+        assert!(
+            drive[20..]
+                .iter()
+                .all(|(status, off)| *status == PoseStatus::Tracking && *off < 0.2),
+            "{off} m: {drive:?}"
+        );
+        assert!(run.out.counted("gnss_offset") > 10, "{off} m");
+    }
+}
+
+#[test]
 fn the_map_of_another_place_is_named_and_never_believed() {
     let folder = tempfile::tempdir().unwrap();
     let path = folder.path().join("street.map");

@@ -121,29 +121,6 @@ pub(crate) fn gather(map: &VoxelMap, placed: &Placed, points: [&[f32]; 3], kerne
     sums
 }
 
-/// How well up to [`CHUNK`] points fit the distributions around them at a pose: the sum of the kernel's weights.
-pub(crate) fn fitness(map: &VoxelMap, placed: &Placed, points: [&[f32]; 3], kernel: &Kernel) -> f64 {
-    let moved = Moved::new(placed, points);
-    let mut sum = 0.0;
-    for i in (0..points[0].len()).filter(|i| moved.keys[*i] != NO_CELL) {
-        let point = Matched {
-            point: moved.points.map(|axis| axis[i]),
-            in_cell: moved.in_cells.map(|axis| axis[i]),
-        };
-        let near = NEIGHBOURS.into_iter().filter_map(|(step, corner)| {
-            let record = record_of(map, moved.keys[i].wrapping_add(step))?;
-            let off = point.off(record, placed, corner);
-            let distances = record.root().map(|column| dot(column, off));
-            Some(dot(distances, distances))
-        });
-        let nearest = near.fold(f32::INFINITY, f32::min);
-        // Nothing near gives a weight of 0.
-        let root = kernel.root_weight(nearest);
-        sum += f64::from(root * root);
-    }
-    sum
-}
-
 /// A point whose surface is looked for.
 struct Matched {
     /// From the body's origin in the map's axes, m.

@@ -38,6 +38,6 @@ pub use error::{AlignError, BuildError, Flaw, MapError, SettingError};
 pub use file::MAGIC;
 pub use map::{Closure, MapInfo, VoxelMap};
 pub use observe::Direction;
-pub use registrar::{Alignment, Registrar, RegistrarSettings, Search};
+pub use registrar::{Alignment, Around, FoundAround, Registrar, RegistrarSettings, Search};
 pub use sample::{Sample, Sampler};
 pub use voxel::Voxel;

@@ -116,6 +116,11 @@ impl VoxelMap {
         f64::from((1 << 20) - 2) * self.info.voxel_m
     }
 
+    /// Makes what wide searches need, so that none of them waits for it.
+    pub fn prepare(&self) {
+        self.coarser();
+    }
+
     /// The same map with voxels twice as wide; it is made when it is first asked for.
     pub(crate) fn coarser(&self) -> &VoxelMap {
         self.coarser.get_or_init(|| Box::new(coarsened(self)))

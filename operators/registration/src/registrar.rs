@@ -1,5 +1,6 @@
 //! Where a sweep was taken, by a map.
 
+mod survey;
 mod wide;
 
 use nalgebra::{Isometry3, Matrix6, Quaternion, Translation3, UnitQuaternion, Vector3, Vector6};
@@ -12,6 +13,8 @@ use crate::map::VoxelMap;
 use crate::observe::{Direction, Observed};
 use crate::rows::Sums;
 use crate::sample::{Sample, Sampler};
+
+pub use wide::{Around, FoundAround};
 
 /// Largest turn of one step, rad; the largest shift is a voxel.
 const MAX_TURN: f64 = 0.1;
@@ -89,9 +92,9 @@ impl RegistrarSettings {
 pub enum Search {
     /// Within half a voxel or so: planes, each in a point's own voxel.
     Track,
-    /// Within five voxels and ten degrees of heading, at the start and after a loss: starts on a grid are compared on voxels that are
-    /// four times as wide; the best go on with distributions in seven voxels, ever smaller, then as [`Search::Track`]; the one that
-    /// fits best in the end counts. It takes some fifty times as long.
+    /// Within five voxels and ten degrees of heading, after a loss: what stands upright is compared from above on a grid of starts; the
+    /// best go on with distributions in seven voxels, ever smaller, then as [`Search::Track`]; the one that fits best in the end
+    /// counts. It takes some ten times as long. [`Registrar::find`] looks farther, and in all directions.
     Wide,
 }
 
@@ -230,6 +233,20 @@ impl Registrar {
         guess: &Isometry3<f64>,
         search: Search,
     ) -> Result<Alignment, AlignError> {
+        let sample = self.checked(map, cloud, guess)?;
+        let progress = match search {
+            Search::Track => {
+                let mut progress = Progress::at(*guess);
+                self.run(&sample, &mut progress, &self.tracking(map));
+                progress
+            }
+            Search::Wide => self.search(map, &sample, guess),
+        };
+        Ok(self.alignment(progress, sample.len()))
+    }
+
+    /// The points of a sweep that are aligned, once they and the guess are some.
+    fn checked(&mut self, map: &VoxelMap, cloud: &PointCloud, guess: &Isometry3<f64>) -> Result<Sample, AlignError> {
         let place = guess.translation.vector;
         if !(guess.rotation.coords.iter().chain(&place).all(|part| part.is_finite())) {
             return Err(AlignError::Guess(place.into()));
@@ -249,15 +266,7 @@ impl Registrar {
                 range_m: self.settings.range_m,
             });
         }
-        let progress = match search {
-            Search::Track => {
-                let mut progress = Progress::at(*guess);
-                self.run(&sample, &mut progress, &self.tracking(map));
-                progress
-            }
-            Search::Wide => self.search(map, &sample, guess),
-        };
-        Ok(self.alignment(progress, sample.len()))
+        Ok(sample)
     }
 
     /// Planes in the map's own voxels.

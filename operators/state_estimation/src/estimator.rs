@@ -178,7 +178,10 @@ impl Estimator {
         };
         let mut estimate = Estimate::of(belief, filter.rate(stamp), stamp, Status::Tracking, &self.rules);
         let limits = &self.rules.limits;
-        let certain = estimate.position_sigma() <= limits.position_m && estimate.heading_sigma() <= limits.heading_rad;
+        let is_astray = filter.is_astray(stamp);
+        let certain = !is_astray
+            && estimate.position_sigma() <= limits.position_m
+            && estimate.heading_sigma() <= limits.heading_rad;
         let corrected = [&filter.scans, &filter.fixes]
             .iter()
             .any(|source| source.is_used(stamp, limits.dead_reckoning));
@@ -225,6 +228,11 @@ impl Estimator {
     /// What was wrong with the samples so far.
     pub fn faults(&self) -> Faults {
         self.latest().faults.with(&self.faults)
+    }
+
+    /// How far GNSS was off last by scans that are believed rather than it, m.
+    pub fn gnss_offset(&self) -> Option<f64> {
+        self.latest().gnss_offset
     }
 
     /// The biases of gyro (rad/s) and accelerometer (m/s²) as estimated, in the IMU's frame.

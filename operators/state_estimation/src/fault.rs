@@ -38,6 +38,10 @@ faults! {
     GyroAtRest "gyro_at_rest",
     /// No usable IMU sample for longer than is bridged: the motion is not known there.
     ImuGap "imu_gap",
+    /// A fix with no usable IMU sample in the second before it.
+    ImuSilent "imu_silent",
+    /// The turns or accelerations of the IMU contradict the track of GNSS and the wheels.
+    ImuTrack "imu_track",
     /// A GNSS fix with NaN or infinity, or a variance that is not above 0.
     GnssNotFinite "gnss_not_finite",
     /// A GNSS fix that is not on Earth, or farther from the map's origin than a map reaches.
@@ -52,12 +56,18 @@ faults! {
     GnssHeightGate "gnss_height_gate",
     /// GNSS contradicted the estimate for so long that the estimate was given up.
     GnssConflict "gnss_conflict",
+    /// GNSS fixes that agree with each other left the estimate behind, which was given up at once.
+    GnssTrack "gnss_track",
+    /// A GNSS fix that scans contradict for some time by as much as a receiver without corrections may be off; they are believed.
+    GnssOffset "gnss_offset",
     /// A wheel speed that is NaN, infinite or beyond any vehicle's.
     WheelNotFinite "wheel_not_finite",
     /// A wheel speed farther from the estimate than chance allows: slip, or a stuck sensor.
     WheelGate "wheel_gate",
     /// Motion across the wheels that chance does not explain, such as a skid.
     WheelSkid "wheel_skid",
+    /// The wheels contradict the track of GNSS, or turn against the IMU's accelerations.
+    WheelTrack "wheel_track",
     /// A scan's pose with NaN or infinity.
     ScanNotFinite "scan_not_finite",
     /// A scan's information that is not symmetric, or has negative eigenvalues.

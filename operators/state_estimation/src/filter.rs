@@ -3,6 +3,7 @@
 use nalgebra::Vector3;
 use realo_schemas::Nanos;
 
+use crate::agreement::Agreement;
 use crate::belief::Belief;
 use crate::correct::Outcome;
 use crate::fault::{Fault, Faults};
@@ -11,6 +12,7 @@ use crate::models::{self, LocalFix, LocalScan};
 use crate::rules::{Checked, Rules};
 use crate::source::{Source, conflict};
 use crate::start::Start;
+use crate::track::{Leaving, Track};
 use crate::{ImuSample, Verdict};
 
 /// An IMU sample holds so long, ns; after that the motion is not known.
@@ -22,6 +24,16 @@ const GAP: Nanos = 10_000_000_000;
 /// Wheels that stand for so long stand, ns.
 const REST: Nanos = 300_000_000;
 
+/// Fixes that scans contradict for so long are off, ns.
+const OFFSET: Nanos = 2_000_000_000;
+/// Scans that were used so recently are believed, ns.
+const RECENT: Nanos = 1_000_000_000;
+
+/// An IMU without a usable sample for so long is silent, ns.
+const SILENT: Nanos = 1_000_000_000;
+/// An estimate that fixes left is not believed again for so long while a sensor contradicts them, ns.
+const DISTRUST: Nanos = 20_000_000_000;
+
 /// The filter after some samples.
 #[derive(Clone, Debug, PartialEq)]
 pub(crate) struct Filter {
@@ -31,6 +43,15 @@ pub(crate) struct Filter {
     pub faults: Faults,
     pub scans: Source,
     pub fixes: Source,
+    /// How far GNSS is off, by the map, m.
+    pub gnss_offset: Option<f64>,
+    agreement: Agreement,
+    track: Track,
+    leaving: Option<Leaving>,
+    /// When fixes left the estimate.
+    left: Option<Nanos>,
+    /// The stamp of the first sample.
+    first: Option<Nanos>,
     monitor: ImuMonitor,
     /// The last usable sample, and its time since the one before, s.
     imu: Option<(ImuSample, f64)>,
@@ -51,6 +72,12 @@ impl Filter {
             faults: Faults::default(),
             scans: Source::default(),
             fixes: Source::default(),
+            gnss_offset: None,
+            agreement: Agreement::default(),
+            track: Track::default(),
+            leaving: None,
+            left: None,
+            first: None,
             monitor: ImuMonitor::default(),
             imu: None,
             last_fix: None,
@@ -64,6 +91,7 @@ impl Filter {
         if self.time.is_some_and(|time| stamp - time > GAP) {
             self.restart(Fault::StampGap, stamp);
         }
+        self.first.get_or_insert(stamp);
         let taken = match sample {
             Checked::Imu(imu) => self.take_imu(imu, rules),
             Checked::Wheel(speed) => self.take_wheel(stamp, *speed, rules),
@@ -124,6 +152,8 @@ impl Filter {
         self.advance(sample.stamp, Some(sample), rules);
         let gap = period.is_some_and(|period| period > HOLD);
         let period = period.map_or(0.01, |period| seconds(period.min(HOLD)));
+        self.agreement.imu(sample, period, rules);
+        self.track.imu(sample, period, rules);
         if self.belief.is_none() {
             self.start.imu(sample, period, rules);
         }
@@ -136,6 +166,8 @@ impl Filter {
 
     fn take_wheel(&mut self, stamp: Nanos, speed: f64, rules: &Rules) -> Result<(), Fault> {
         self.advance(stamp, None, rules);
+        self.agreement.wheel(stamp, speed);
+        self.track.wheel(stamp, speed);
         let rate = self.rate(stamp);
         let Some(belief) = &mut self.belief else {
             self.start.wheel(stamp, speed);
@@ -180,6 +212,7 @@ impl Filter {
         if !fix.has_height {
             self.faults.note(Fault::GnssHeightZero, stamp);
         }
+        self.watch(stamp, fix, rules);
         let Some(belief) = &mut self.belief else {
             let begun = self.start.take_fix(stamp, fix, rules)?;
             self.begin(begun, stamp, |filter| &mut filter.fixes);
@@ -189,6 +222,12 @@ impl Filter {
         let residual = Vector3::new(innovation.residual.x, innovation.residual.y, 0.0);
         let outcome = belief.correct(&innovation);
         self.fixes.note(outcome, stamp, residual);
+        let spread = belief.covariance[(0, 0)] + belief.covariance[(1, 1)] + fix.variance.x + fix.variance.y;
+        if outcome == Outcome::Gated {
+            self.refused(stamp, fix, residual.xy(), (0.5 * spread).sqrt(), rules);
+            return Err(Fault::GnssGate);
+        }
+        self.leaving = None;
         used(outcome, Fault::GnssGate)?;
         if fix.has_height {
             used(belief.correct(&fix.vertical(belief, rules)), Fault::GnssHeightGate)?;
@@ -196,8 +235,60 @@ impl Filter {
         Ok(())
     }
 
+    /// Looks what a fix says of the other sensors.
+    fn watch(&mut self, stamp: Nanos, fix: &LocalFix, rules: &Rules) {
+        let last = self.imu.as_ref().map(|(last, _)| last.stamp).or(self.first);
+        if last.is_some_and(|last| stamp - last > SILENT) {
+            self.faults.note(Fault::ImuSilent, stamp);
+        }
+        self.agreement.odometer.advance(stamp);
+        if let Some(fault) = self.track.fix(stamp, fix, &self.agreement.odometer, rules) {
+            self.faults.note(fault, stamp);
+        }
+    }
+
+    /// What follows from a fix that was refused: GNSS is off by the map, or the estimate is wrong.
+    fn refused(&mut self, stamp: Nanos, fix: &LocalFix, residual: nalgebra::Vector2<f64>, sigma: f64, rules: &Rules) {
+        if self.scans.is_used(stamp, RECENT) {
+            self.leaving = None;
+            let off = self.fixes.off(stamp, OFFSET).filter(|off| *off <= rules.gnss_bias());
+            if off.is_some() {
+                self.gnss_offset = off;
+                self.faults.note(Fault::GnssOffset, stamp);
+            }
+            return;
+        }
+        let leaving = Leaving::with(self.leaving.take(), stamp, fix, residual);
+        let is_gone = leaving.is_gone(stamp, residual, sigma);
+        self.leaving = Some(leaving);
+        if is_gone {
+            self.restart(Fault::GnssTrack, stamp);
+            self.left = Some(stamp);
+        }
+    }
+
+    /// Whether an estimate is wrong again soon: a sensor that led one astray still contradicts GNSS, and no scans are there.
+    pub fn is_astray(&self, stamp: Nanos) -> bool {
+        let left = self.left.is_some_and(|left| stamp - left <= DISTRUST);
+        left && self.track.is_contradicted(stamp) && !self.scans.is_used(stamp, RECENT)
+    }
+
     fn take_scan(&mut self, stamp: Nanos, scan: &LocalScan, rules: &Rules) -> Result<(), Fault> {
         self.advance(stamp, None, rules);
+        self.agreement.scan(stamp, scan);
+        let taken = self.correct_by_scan(stamp, scan, rules);
+        match taken {
+            Err(Fault::ScanGate) if self.is_overruled(stamp, scan, rules) => {
+                let begun = Start::at_scan(&self.agreement.odometer, scan, rules);
+                self.fixes = Source::default();
+                self.begin(Some(begun), stamp, |filter| &mut filter.scans);
+                Ok(())
+            }
+            taken => taken,
+        }
+    }
+
+    fn correct_by_scan(&mut self, stamp: Nanos, scan: &LocalScan, rules: &Rules) -> Result<(), Fault> {
         let Some(belief) = &mut self.belief else {
             let begun = self.start.take_scan(stamp, scan, rules)?;
             self.begin(begun, stamp, |filter| &mut filter.scans);
@@ -208,6 +299,20 @@ impl Filter {
         let outcome = belief.correct(&innovation);
         self.scans.note(outcome, stamp, residual);
         used(outcome, Fault::ScanGate)
+    }
+
+    /// Whether scans are to be believed rather than what GNSS says: they agree with wheels and gyro, and GNSS is no farther off than it
+    /// may be for minutes.
+    fn is_overruled(&self, stamp: Nanos, scan: &LocalScan, rules: &Rules) -> bool {
+        if self.scans.is_used(stamp, RECENT) || !self.agreement.is_proven() {
+            return false;
+        }
+        let at = match (&self.belief, self.start.fix()) {
+            (Some(belief), _) => belief.position,
+            (None, Some(fix)) => fix.position,
+            (None, None) => return false,
+        };
+        (scan.map_from_body.translation.vector - at).xy().norm() <= rules.gnss_bias()
     }
 
     fn begin(&mut self, belief: Option<Belief>, stamp: Nanos, source: impl Fn(&mut Filter) -> &mut Source) {
@@ -226,6 +331,7 @@ impl Filter {
         self.scans = Source::default();
         self.fixes = Source::default();
         self.resting = None;
+        self.leaving = None;
     }
 }
 

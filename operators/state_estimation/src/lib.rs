@@ -14,12 +14,19 @@
 //! | [`GnssFix`] | 10 Hz | position, as truth + what wanders + white noise |
 //! | [`ScanPose`] | 10 Hz | position and heading, by its information: directions that the scan does not show stay as they are |
 //!
+//! Fixes that agree with each other and leave an estimate behind end it at once ([`Fault::GnssTrack`]); IMU or wheels that contradict their track
+//! are named.
+//!
+//! Poses of scans that agree with wheels and gyro over some metres overrule a receiver without corrections that is off by as much as such
+//! receivers are ([`Fault::GnssOffset`]).
+//!
 //! An estimate begins with GNSS as soon as dead reckoning and fixes align to 0.1 rad, or with a scan's pose that agrees with
 //! GNSS, or with five scans that follow each other ([`Settings::scans_to_begin`]). It is given up when scans and GNSS agree against it, or when one of them contradicts
 //! it for as long as [`Limits`] say.
 //!
 //! No number from outside causes a panic. Results are the same bits on every machine.
 
+mod agreement;
 mod align;
 mod belief;
 mod correct;
@@ -39,6 +46,7 @@ mod sample;
 mod settings;
 mod source;
 mod start;
+mod track;
 mod unit;
 
 pub use belief::{quaternion_of, vector_of};

@@ -21,6 +21,9 @@ const LARGEST: f64 = 1e18;
 /// Rounds in which eigenvalues are found.
 const ROUNDS: usize = 200;
 
+/// A receiver may be off by so many of its standard deviations, and by so much at most, m.
+const BIAS: (f64, f64) = (10.0, 15.0);
+
 /// What holds for a whole run.
 #[derive(Clone, Debug)]
 pub(crate) struct Rules {
@@ -67,6 +70,12 @@ impl Rules {
     pub fn remount(&mut self, antenna_in_body: &Vector3<f64>, axle_in_body: &Vector3<f64>) {
         let in_imu = |point: &Vector3<f64>| (self.imu_from_body * nalgebra::Point3::from(*point)).coords;
         (self.antenna_in_imu, self.axle_in_imu) = (in_imu(antenna_in_body), in_imu(axle_in_body));
+    }
+
+    /// How far a receiver may be off for minutes, m: one without corrections by many of its standard deviations.
+    pub fn gnss_bias(&self) -> f64 {
+        let [east, north, _] = self.noise.gnss;
+        (BIAS.0 * libm::hypot(east, north)).min(BIAS.1)
     }
 
     /// Looks at a sample by itself.

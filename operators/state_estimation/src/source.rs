@@ -51,6 +51,12 @@ impl Source {
         self.used.is_some_and(|used| now - used <= span)
     }
 
+    /// How far off samples are that were refused all through the last `span` ns, m; `None` where one was used.
+    pub fn off(&self, now: Nanos, span: Nanos) -> Option<f64> {
+        let residual = self.refusals.as_ref()?.residual.xy().norm();
+        self.is_refused(now, span).then_some(residual)
+    }
+
     /// Whether samples were refused all through the last `span` ns.
     fn is_refused(&self, now: Nanos, span: Nanos) -> bool {
         self.refusals
@@ -60,7 +66,7 @@ impl Source {
 }
 
 /// Whether the sources are to be believed rather than the estimate: both agree against it, or one contradicts it for long
-/// without the other's support.
+/// without the other's support. Scans stand against a receiver that is off by no more than such receivers are.
 pub(crate) fn conflict(fixes: &Source, scans: &Source, now: Nanos, rules: &Rules) -> Option<Fault> {
     let limits = &rules.limits;
     if let (Some(fix), Some(scan)) = (&fixes.refusals, &scans.refusals)
@@ -74,7 +80,9 @@ pub(crate) fn conflict(fixes: &Source, scans: &Source, now: Nanos, rules: &Rules
         }
     }
     let alone = fixes.is_refused(now, limits.gnss_conflict) && !scans.is_used(now, limits.gnss_conflict);
-    if alone || fixes.is_refused(now, limits.map_conflict) {
+    // A receiver without corrections is off by metres for minutes.
+    let off = fixes.off(now, limits.map_conflict);
+    if alone || off.is_some_and(|off| off > rules.gnss_bias()) {
         return Some(Fault::GnssConflict);
     }
     let by_scans = scans.is_refused(now, limits.scan_conflict) && !fixes.is_used(now, limits.scan_conflict);
@@ -116,11 +124,13 @@ mod tests {
             (refused(0..31, 10.0), none.clone(), 31.0, Some(Fault::GnssConflict)),
             (refused(0..31, 10.0), source(Outcome::Used, 0..31, 0.0), 31.0, None),
             (
-                refused(0..61, 10.0),
+                refused(0..61, 30.0),
                 source(Outcome::Used, 0..61, 0.0),
                 61.0,
                 Some(Fault::GnssConflict),
             ),
+            // As far as a receiver without corrections may be off.
+            (refused(0..61, 10.0), source(Outcome::Used, 0..61, 0.0), 61.0, None),
             (none.clone(), refused(0..6, 1.0), 6.0, Some(Fault::ScanConflict)),
             (source(Outcome::Used, 0..6, 0.0), refused(0..6, 1.0), 6.0, None),
         ];

@@ -56,6 +56,15 @@ impl Start {
         }
     }
 
+    /// The estimate that begins with a scan's pose, and the motion by an odometer.
+    pub fn at_scan(odometer: &Reckoning, scan: &LocalScan, rules: &Rules) -> Belief {
+        let start = Start {
+            reckoning: odometer.clone(),
+            ..Start::default()
+        };
+        start.begin_at_scan(scan, rules)
+    }
+
     /// Takes a usable IMU sample; `period`: since the one before, s.
     pub fn imu(&mut self, sample: &ImuSample, period: f64, rules: &Rules) {
         self.reckoning.imu(sample, period, rules);

@@ -131,6 +131,26 @@ fn the_basin_is_as_wide_as_measured() {
 }
 
 #[test]
+fn a_sweep_is_found_in_any_direction_from_twelve_metres_away() {
+    for seed in 200..206 {
+        let (cloud, truth) = taken(seed);
+        let around = Around {
+            guess: guess(&truth, seed, 12.0, 50.0 * (seed - 199) as f64),
+            radius_m: 15.0,
+            turn_rad: std::f64::consts::PI,
+        };
+        let found = registrar().find(&street().1, &cloud, &around).unwrap();
+        let [shift, turn] = off(&found.best.map_from_body, &truth);
+        assert!(
+            shift < 0.05 && turn < 0.1,
+            "{seed}: {shift} m, {turn}°, {:.2} ahead",
+            found.ahead
+        );
+        assert!(found.ahead > 0.08, "{seed}: {:.2} ahead", found.ahead);
+    }
+}
+
+#[test]
 fn between_walls_the_guess_is_kept_along_them() {
     let town = Town::walls();
     let map = map_of(&town);

@@ -1,23 +1,25 @@
-//! A search from guesses that are some voxels off.
+//! A search from guesses that are some voxels off, or say nothing of the heading.
 //!
 //! A gradient leads to the right place from within a voxel or two only, and a sweep has places where it fits half: so starts on a
 //! grid are compared first, several go on, and how much of what stands upright fits in the end decides.
 
 use nalgebra::{Isometry3, Vector3};
+use realo_schemas::PointCloud;
+use realo_schemas::geometry::{normalize_yaw, yaw_of};
 
-use super::{Progress, Registrar, Stage, stepped};
-use crate::gather::{CHUNK, Kernel, Placed, fitness};
+use super::survey::starts;
+use super::{Alignment, Progress, Registrar, Stage, stepped};
+use crate::error::AlignError;
 use crate::map::VoxelMap;
 use crate::rows::Sums;
 use crate::sample::Sample;
 
-/// Starts on each side of the guess: along x and y of the body, and of headings; and how far they are apart, voxels and degrees.
-const STARTS: [i32; 2] = [2, 4];
-const APART: [f64; 2] = [2.5, 2.5];
-/// So many of them go on.
-const BEST: usize = 6;
-/// So many points are enough for comparing starts.
-const POINTS: usize = 1500;
+/// How far [`Search::Wide`](super::Search::Wide) looks around a guess: voxels, degrees.
+const REACH: [f64; 2] = [6.0, 12.0];
+/// So many starts go on where the heading is known, and where it is not.
+const BEST: [usize; 2] = [6, 12];
+/// So many points are enough for comparing where they lead.
+const POINTS: usize = 350;
 /// Widths of the kernel, first and last, in voxels, and the factor from one step to the next.
 const WIDTHS: [f64; 2] = [0.75, 0.2];
 const NARROWING: f64 = 0.7;
@@ -25,39 +27,95 @@ const NARROWING: f64 = 0.7;
 const STOP: [f64; 2] = [0.02, 0.05];
 /// Iterations on a level at most.
 const MOST: u32 = 10;
+/// Poses that differ by more are others: m, rad.
+const OTHER: [f64; 2] = [5.0, 0.35];
 
-/// A start: how far along the grid, and how well it fits.
-struct Start {
-    place: [i32; 3],
-    pose: Isometry3<f64>,
-    score: f64,
+/// Where a sweep is looked for.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Around {
+    /// The middle.
+    pub guess: Isometry3<f64>,
+    /// How far from there, on the ground, m.
+    pub radius_m: f64,
+    /// How far turned to either side, rad; π for all headings.
+    pub turn_rad: f64,
+}
+
+/// What was found around a guess.
+#[derive(Clone, Debug, PartialEq)]
+pub struct FoundAround {
+    /// What fits best.
+    pub best: Alignment,
+    /// By how much its share of what stands upright is larger than that of the next pose, which is more than 5 m or 20° away.
+    pub ahead: f64,
 }
 
 impl Registrar {
-    /// The best fit around a guess; iterations are those of its own way.
+    /// Finds the pose of a sweep in a wider neighbourhood, or in any direction. It takes some ten times as long as [`Self::align`].
+    ///
+    /// # Errors
+    /// As [`Self::align`].
+    pub fn find(&mut self, map: &VoxelMap, cloud: &PointCloud, around: &Around) -> Result<FoundAround, AlignError> {
+        let sample = self.checked(map, cloud, &around.guess)?;
+        let (progress, ahead) = self.around(map, &sample, around);
+        let best = self.alignment(progress, sample.len());
+        Ok(FoundAround { best, ahead })
+    }
+
+    /// The best fit around a guess, wherever tracking alone does not get there.
     pub(super) fn search(&self, map: &VoxelMap, sample: &Sample, guess: &Isometry3<f64>) -> Progress {
+        let around = Around {
+            guess: *guess,
+            radius_m: REACH[0] * map.info().voxel_m,
+            turn_rad: REACH[1].to_radians(),
+        };
+        self.around(map, sample, &around).0
+    }
+
+    /// The best fit, and by how much more of it fits than of another pose; iterations are those of its own way.
+    fn around(&self, map: &VoxelMap, sample: &Sample, around: &Around) -> (Progress, f64) {
         let few = sample.thinned(POINTS);
         let twice = map.coarser();
-        let levels = [twice.coarser(), twice, map];
-        let mut best: Option<(Progress, [u32; 2])> = None;
-        for pose in far_apart(starts(map, levels[0], &few, guess)) {
-            let mut progress = Progress::at(pose);
-            levels
-                .iter()
-                .for_each(|level| self.run(&few, &mut progress, &on(level)));
-            self.run(&few, &mut progress, &self.tracking(map));
-            let fit = fit(&progress.sums);
-            if best.as_ref().is_none_or(|(_, known)| fit > *known) {
-                best = Some((progress, fit));
+        let is_turned = around.turn_rad >= std::f64::consts::FRAC_PI_2;
+        let mut ends: Vec<Progress> = Vec::new();
+        for start in starts(map, sample, around, BEST[usize::from(is_turned)]) {
+            let mut progress = Progress::at(start);
+            for level in [twice, map] {
+                self.run(&few, &mut progress, &on(level));
             }
+            self.run(&few, &mut progress, &self.tracking(map));
+            ends.push(progress);
         }
         // Where tracking alone gets there, nothing is better.
-        let mut near = Progress::at(*guess);
-        self.run(sample, &mut near, &self.tracking(map));
-        let Some((mut far, _)) = best else { return near };
+        let mut near = Progress::at(around.guess);
+        if !is_turned {
+            self.run(sample, &mut near, &self.tracking(map));
+        }
+        // Of equal ones the first.
+        ends.sort_by_key(|end| std::cmp::Reverse(fit(&end.sums)));
+        let Some(first) = ends.first() else { return (near, 0.0) };
+        let others = ends.iter().filter(|end| is_other(&end.pose, &first.pose));
+        let share = |end: &Progress| self.share(end, few.len());
+        let next = others.map(share).fold(0.0, f64::max);
+        let ahead = share(first) - next;
+        let mut far = ends.swap_remove(0);
         self.run(sample, &mut far, &self.tracking(map));
-        if fit(&far.sums) > fit(&near.sums) { far } else { near }
+        if fit(&far.sums) > fit(&near.sums) {
+            (far, ahead)
+        } else {
+            (near, ahead)
+        }
     }
+
+    fn share(&self, progress: &Progress, points: usize) -> f64 {
+        self.alignment(progress.clone(), points).structure_share
+    }
+}
+
+fn is_other(a: &Isometry3<f64>, b: &Isometry3<f64>) -> bool {
+    let apart = (a.translation.vector - b.translation.vector).xy().norm();
+    let turned = normalize_yaw(yaw_of(&a.rotation) - yaw_of(&b.rotation)).abs();
+    apart > OTHER[0] || turned > OTHER[1]
 }
 
 /// Distributions on a map of any width.
@@ -78,63 +136,7 @@ fn fit(sums: &Sums) -> [u32; 2] {
     [sums.inliers - sums.on_ground, sums.inliers]
 }
 
-/// All starts around a guess, with how well they fit on a coarse map.
-fn starts(map: &VoxelMap, coarse: &VoxelMap, sample: &Sample, guess: &Isometry3<f64>) -> Vec<Start> {
-    let [most, turns] = STARTS;
-    let kernel = Kernel {
-        width: (WIDTHS[0] * coarse.info().voxel_m) as f32,
-        inlier: 0.0,
-        is_wide: true,
-    };
-    let mut all = Vec::new();
-    for turn in -turns..=turns {
-        for x in -most..=most {
-            for y in -most..=most {
-                let [shift, heading] = [APART[0] * map.info().voxel_m, APART[1].to_radians()];
-                let pose = moved(
-                    guess,
-                    [f64::from(x) * shift, f64::from(y) * shift],
-                    f64::from(turn) * heading,
-                );
-                let Some(placed) = Placed::new(coarse, &pose) else {
-                    continue;
-                };
-                all.push(Start {
-                    place: [x, y, turn],
-                    score: score(coarse, &placed, sample, &kernel),
-                    pose,
-                });
-            }
-        }
-    }
-    all
-}
-
-/// How well a sample fits at a pose: sums of chunks in their order.
-fn score(map: &VoxelMap, placed: &Placed, sample: &Sample, kernel: &Kernel) -> f64 {
-    let chunks = (0..sample.len()).step_by(CHUNK).map(|from| {
-        let range = from..sample.len().min(from + CHUNK);
-        [&sample.x[range.clone()], &sample.y[range.clone()], &sample.z[range]]
-    });
-    chunks.map(|points| fitness(map, placed, points, kernel)).sum()
-}
-
-/// The best starts that are no neighbours of each other.
-fn far_apart(mut all: Vec<Start>) -> Vec<Isometry3<f64>> {
-    // Stable: of equal ones the first.
-    all.sort_by(|a, b| b.score.total_cmp(&a.score));
-    let mut best: Vec<Start> = Vec::new();
-    for start in all {
-        let is_near = |known: &Start| (0..3).all(|axis| (known.place[axis] - start.place[axis]).abs() <= 1);
-        if best.len() < BEST && !best.iter().any(is_near) {
-            best.push(start);
-        }
-    }
-    best.into_iter().map(|start| start.pose).collect()
-}
-
-/// A pose that is shifted along its own x and y, and turned about the vertical.
-fn moved(pose: &Isometry3<f64>, [x, y]: [f64; 2], turn: f64) -> Isometry3<f64> {
-    let shift = pose.rotation * Vector3::new(x, y, 0.0);
+/// A pose that is shifted, and turned about the vertical through it.
+pub(super) fn moved(pose: &Isometry3<f64>, shift: Vector3<f64>, turn: f64) -> Isometry3<f64> {
     stepped(pose, &[shift.x, shift.y, shift.z, 0.0, 0.0, turn])
 }

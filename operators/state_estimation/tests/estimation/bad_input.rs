@@ -230,6 +230,117 @@ fn gnss_frozen_elsewhere_at_height_zero_or_nan_is_named() {
 }
 
 #[test]
+fn a_receiver_that_is_off_by_metres_yields_to_scans_that_agree_with_the_motion() {
+    for metres in [5.0, 10.0] {
+        let degrees = metres / 111_195.0;
+        let off = gnss(|_, fix| GnssFix {
+            place: Geodetic {
+                latitude_deg: fix.place.latitude_deg + degrees,
+                ..fix.place
+            },
+            ..fix
+        });
+        let (estimator, found) = drive(plan(), off);
+        assert!(
+            worst(&found, 6.0, 60.0) < 0.3,
+            "{metres} m: {:.2}",
+            worst(&found, 6.0, 60.0)
+        );
+        // What wanders explains five metres, not ten.
+        if metres > 6.0 {
+            let count = estimator.faults().count(Fault::GnssOffset);
+            assert!(count > 100, "{:?}", estimator.faults());
+            let said = estimator.gnss_offset().unwrap();
+            assert!((said - metres).abs() < 4.0, "{said} of {metres} m");
+        }
+        let lost = found
+            .iter()
+            .filter(|(at, .., status)| *at > 6.0 && *status != Status::Tracking);
+        assert_eq!(lost.count(), 0, "{metres} m");
+    }
+}
+
+#[test]
+fn a_sensor_that_leads_astray_is_named_and_the_estimate_is_lost_at_once() {
+    let plan = Plan { scans: false, ..plan() };
+    type Change = fn(f64, Sample) -> Option<Sample>;
+    let wrong: [(&str, Fault, Change); 3] = [
+        ("gyro's sign", Fault::ImuTrack, |_, sample| match sample {
+            Sample::Imu(mut imu) => {
+                imu.angular_rate.z = -imu.angular_rate.z;
+                Some(Sample::Imu(imu))
+            }
+            other => Some(other),
+        }),
+        ("axes swapped", Fault::ImuTrack, |_, sample| match sample {
+            Sample::Imu(mut imu) => {
+                imu.angular_rate.swap_rows(0, 1);
+                imu.specific_force.swap_rows(0, 1);
+                Some(Sample::Imu(imu))
+            }
+            other => Some(other),
+        }),
+        ("wheels backwards", Fault::WheelTrack, |_, sample| match sample {
+            Sample::Wheel(wheel) => Some(Sample::Wheel(WheelSpeed {
+                speed: -wheel.speed,
+                ..wheel
+            })),
+            other => Some(other),
+        }),
+    ];
+    for (name, fault, change) in wrong {
+        let (estimator, found) = drive(plan, change);
+        assert!(estimator.faults().count(fault) > 0, "{name}: {:?}", estimator.faults());
+        for (at, error, _, status) in &found {
+            let relied_on = matches!(status, Status::Tracking | Status::DeadReckoning);
+            assert!(!relied_on || *error < 40.0, "{name}: off by {error:.1} m at {at:.1} s");
+        }
+        let other = if fault == Fault::ImuTrack {
+            Fault::WheelTrack
+        } else {
+            Fault::ImuTrack
+        };
+        assert!(
+            estimator.faults().count(fault) > estimator.faults().count(other),
+            "{name}"
+        );
+    }
+    // Sensors that are right are never named.
+    for seed in 1..8 {
+        let (estimator, _) = drive(Plan { seed, ..plan }, |_, sample| Some(sample));
+        let faults = estimator.faults();
+        for fault in [Fault::ImuTrack, Fault::WheelTrack, Fault::GnssTrack, Fault::ImuSilent] {
+            assert_eq!(faults.count(fault), 0, "seed {seed}: {faults:?}");
+        }
+    }
+}
+
+#[test]
+fn wheels_in_other_units_and_an_imu_that_dies_are_named() {
+    let plan = Plan { scans: false, ..plan() };
+    let (estimator, _) = drive(plan, |_, sample| match sample {
+        Sample::Wheel(wheel) => Some(Sample::Wheel(WheelSpeed {
+            speed: 3.6 * wheel.speed,
+            ..wheel
+        })),
+        other => Some(other),
+    });
+    assert!(
+        estimator.faults().count(Fault::WheelTrack) > 0,
+        "{:?}",
+        estimator.faults()
+    );
+    let (estimator, _) = drive(plan, |at, sample| {
+        (at < 4.0 || !matches!(sample, Sample::Imu(_))).then_some(sample)
+    });
+    assert!(
+        estimator.faults().count(Fault::ImuSilent) > 400,
+        "{:?}",
+        estimator.faults()
+    );
+}
+
+#[test]
 fn wheels_that_slip_or_stick_are_named() {
     let wheel = |from: f64, to: f64, speed: f64| {
         move |at: f64, sample: Sample| match sample {
