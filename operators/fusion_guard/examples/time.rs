@@ -95,6 +95,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
     let view = View::of(&sweep);
     let ego = Ego {
         objects: &own,
+        own: own.len(),
         view: Some(&view),
     };
     let said = Said {

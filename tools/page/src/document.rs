@@ -50,7 +50,7 @@ pub struct RunPart {
     pub fields: BTreeMap<String, String>,
     /// What `result.json` has, without the counters of stages.
     pub result: Value,
-    /// Spreads of `timing.json`, by stage.
+    /// Spreads of `timing.json`, by stage, and its machine.
     pub timing: Value,
     /// The 0, 1 … 100 % quantiles, ms: from sweep to boxes, of each stage, and of ages.
     pub quantiles: BTreeMap<String, Vec<f64>>,
@@ -94,6 +94,7 @@ impl RunPart {
                 "waiting": timing.waiting_ms,
                 "joining": timing.joining_ms,
                 "rate_hz": timing.rate_hz,
+                "machine": timing.machine,
             }),
             quantiles: all.into_iter().filter(|(_, values)| !values.is_empty()).collect(),
             ages: age_quantiles(&ages),

@@ -419,8 +419,11 @@ const hasLatency = (run) => run.result.mode !== "offline" && (run.result.mode ==
 
 /** What results say of the machine that took this time. */
 function machineWords() {
-  const isas = [...new Set(DOC.runs.filter(hasLatency).map((run) => run.result.isa).filter(Boolean))];
-  return `Times are those of the machine of each run, which results do not name${isas.length ? `; kernels of the networks: ${isas.join(", ")}` : ""}.`;
+  const timed = DOC.runs.filter(hasLatency);
+  const all = (of) => [...new Set(timed.map(of).filter(Boolean))];
+  const [machines, isas] = [all((run) => run.timing.machine), all((run) => run.result.isa)];
+  const where = machines.length ? `Times of runs in realtime are those of ${machines.join("; ")}` : "Times are what the compute profile charges";
+  return `${where}${isas.length ? `; kernels of the networks: ${isas.join(", ")}` : ""}.`;
 }
 
 function stageFigure() {

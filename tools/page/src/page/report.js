@@ -153,10 +153,10 @@ function addedObjects() {
 
 // --- What was run -------------------------------------------------------------------------------------------------
 
-const SETTINGS = ["program", "graph", "graph_hash", "mode", "coop", "link", "compute", "seed", "project", "pose_source", "precomputed", "model", "isa", "set", "programs", "rate", "protocol", "ended_by"];
+const SETTINGS = ["program", "machine", "graph", "graph_hash", "mode", "coop", "link", "compute", "seed", "project", "pose_source", "precomputed", "model", "isa", "set", "programs", "rate", "protocol", "ended_by"];
 
 function settings() {
-  const value = (run, name) => String((name === "program" ? run.program : run.result[name]) ?? "");
+  const value = (run, name) => String((name === "program" ? run.program : name === "machine" ? run.timing.machine : run.result[name]) ?? "");
   const rows = SETTINGS.filter((name) => DOC.runs.some((run) => value(run, name))).map((name) => [name.replace("_", " "), ...DOC.runs.map((run) => value(run, name) || NONE)]);
   rows.push(["logs", ...DOC.runs.map((run) => (run.result.logs.length > 5 ? `${run.result.logs.length} logs` : run.result.logs.join(", ") || NONE))],
     ["egos", ...DOC.runs.map((run) => run.result.egos.join(", ") || NONE)], ["agents", ...DOC.runs.map((run) => run.result.agents.join(", ") || NONE)]);

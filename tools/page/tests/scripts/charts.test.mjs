@@ -206,8 +206,8 @@ test("ages are drawn as the spans that they are in", () => {
 test("each of many stages has a fill of its own, and its number on its bars", () => {
   assert.equal(new Set(Array.from({ length: 30 }, (_, at) => page.value(`fill(${at})`))).size, 30);
   const stages = Object.fromEntries(Array.from({ length: 8 }, (_, at) => [`stage ${at}`, { p50: 5 }]));
-  const busy = open({ data: report({ runs: [run("late", { result: { mode: "realtime", isa: "avx2" }, timing: { latency: stages, waiting: {}, joining: stages } })] }) });
+  const busy = open({ data: report({ runs: [run("late", { result: { mode: "realtime", isa: "avx2" }, timing: { latency: stages, waiting: {}, joining: stages, machine: "A CPU, 2 threads" } })] }) });
   const drawn = busy.value("stageFigure()");
   assert.deepEqual(drawn.all("i").filter((part) => part.getAttribute("title")).map((part) => part.textContent).filter((_, at) => at % 2), ["1", "2", "3", "4", "5", "6", "7", "8"]);
-  assert.ok(drawn.textContent.includes("8 stage 7") && drawn.textContent.includes("kernels of the networks: avx2"), drawn.textContent);
+  assert.ok(drawn.textContent.includes("8 stage 7") && drawn.textContent.includes("those of A CPU, 2 threads; kernels of the networks: avx2"), drawn.textContent);
 });
