@@ -188,7 +188,7 @@ fn below(dir: &Path) -> Vec<Near> {
             .is_some_and(|(_, end)| BAGS.contains(&end.to_lowercase().as_str()))
     };
     let bags = listed.files.iter().filter(is_bag).map(|name| dir.join(name));
-    let paths = listed.folders.iter().cloned().take(LOOKED_AT);
+    let paths = listed.folders.iter().take(LOOKED_AT).cloned();
     let mut found = Vec::new();
     for path in paths.chain(bags.take(LOOKED_AT)) {
         found.extend(fits(&path));
