@@ -98,7 +98,11 @@ struct Near {
 /// Another kind, here or near, with why and how it is imported.
 pub fn refuse_others(kind: &Kind, dir: &Path, why_not: &str) -> Result<Option<String>, ImportError> {
     let here = fits(dir);
-    let near = if here.is_empty() { near(dir) } else { Vec::new() };
+    // What lies around a file says nothing of it.
+    let near = match here.is_empty() && dir.is_dir() {
+        true => near(dir),
+        false => Vec::new(),
+    };
     let has_own = near.iter().any(|near| near.kind.name == kind.name);
     let refused = match (&here[..], has_own) {
         ([], true) => return Ok(hint(&near)),
