@@ -56,6 +56,10 @@ pub(crate) fn turn_faults(samples: &[ImuSample], poses: &[Place]) -> Vec<String>
             }
         }
         from += LEG / 2;
+        // Over a gap in one step: between two wrong stamps there may be years.
+        let next = samples.partition_point(|s| s.taken.stamp < from.saturating_add(LEG / 2));
+        let Some(next) = samples.get(next) else { break };
+        from = from.max(next.taken.stamp.saturating_sub(3 * LEG / 2));
     }
     if turns.square < TELLS {
         return Vec::new();
@@ -138,6 +142,16 @@ mod tests {
             yaw += 0.01 * rate;
         }
         turn_faults(&samples, &poses).join("; ")
+    }
+
+    #[test]
+    fn years_between_two_stamps_are_no_work() {
+        let after_a_gap = |s: &mut ImuSample| {
+            if s.taken.stamp > 0 {
+                s.taken.stamp += 1_767_225_600_000_000_000;
+            }
+        };
+        assert_eq!(found(after_a_gap), "", "no pose is near");
     }
 
     #[test]

@@ -39,6 +39,6 @@ pub use progress::RunProgress;
 pub use result::{
     Accounted, AgeTable, EdgeBooks, Frames, LinkBooks, NodeSummary, RESULT, RunResult, Settings, Transport, VERSION,
 };
-pub use run::{GraphStages, Run, SAMPLES, Samples, add_name};
+pub use run::{GROUP, GraphStages, Run, SAMPLES, Samples, add_name};
 pub use sink::{Results, RunSettings, Settings as ResultsSettings};
 pub use timing::{END_TO_END, FRAMEWORK, StageSamples, TIMING, Timing, TimingSamples};

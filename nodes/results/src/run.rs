@@ -13,6 +13,9 @@ pub const SAMPLES: &str = "realo/evaluation";
 /// The stages of a graph as it was run: by their ids, what each runs, its settings and its wires, by name.
 pub type GraphStages = BTreeMap<String, BTreeMap<String, String>>;
 
+/// The entry of a stage with the module that groups its process with others: for pictures, and no part of the graph's hash.
+pub const GROUP: &str = "group";
+
 /// What results are made from, so that runs can be pooled exactly: `evaluation.json`.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
 pub struct Samples {

@@ -2,7 +2,7 @@
 
 use std::collections::{BTreeMap, BTreeSet};
 
-use realo_results::Run;
+use realo_results::{GROUP, Run};
 
 use crate::differences::{by_value, listed};
 use crate::settings::{changes, places_of};
@@ -57,7 +57,7 @@ fn differing(runs: &[(&str, &Run)]) -> Vec<String> {
         };
         let entries: BTreeSet<&String> = graphs.iter().flat_map(BTreeMap::keys).collect();
         // How processes are grouped is for pictures: it changes nothing of a run.
-        let entries = entries.into_iter().filter(|key| *key != "group");
+        let entries = entries.into_iter().filter(|key| *key != GROUP);
         let differing = entries.filter_map(|key| entry(runs, &changed, stage, Some(key)));
         found.extend(differing);
     }

@@ -93,7 +93,7 @@ fn may_hold_maps(port: &Port) -> bool {
 }
 
 #[cfg(test)]
-mod tests {
+pub(super) mod tests {
     use std::path::Path;
 
     use realo_operator::Registry;
@@ -102,11 +102,11 @@ mod tests {
     use crate::Graph;
     use crate::check::unfit_maps;
 
-    const MAPS: &[PayloadType] = &[PayloadType::FeatureMap];
-    const PACKETS: &[PayloadType] = &[PayloadType::Packet];
+    pub const MAPS: &[PayloadType] = &[PayloadType::FeatureMap];
+    pub const PACKETS: &[PayloadType] = &[PayloadType::Packet];
     const SELECTIONS: &[PayloadType] = &[PayloadType::Selection];
 
-    const fn port(name: &'static str, types: &'static [PayloadType]) -> Port {
+    pub const fn port(name: &'static str, types: &'static [PayloadType]) -> Port {
         Port::new(name, types, "")
     }
 
@@ -131,7 +131,8 @@ mod tests {
         ]
     }
 
-    const fn stage(name: &'static str, inputs: &'static [Port], outputs: &'static [Port]) -> Registration {
+    /// A stage that takes and makes maps as its arguments say.
+    pub const fn stage(name: &'static str, inputs: &'static [Port], outputs: &'static [Port]) -> Registration {
         Registration {
             name,
             about: "",

@@ -34,48 +34,12 @@ pub(super) fn carries(input: &Port, stage: &Registration, output: &str) -> bool 
 mod tests {
     use std::path::Path;
 
-    use realo_operator::{KnownMap, Registry};
-    use realo_schemas::PayloadType;
+    use realo_operator::Registry;
 
     use super::*;
     use crate::Graph;
+    use crate::check::maps::tests::{MAPS, PACKETS, port, stage};
     use crate::check::unfit_maps;
-
-    const MAPS: &[PayloadType] = &[PayloadType::FeatureMap];
-    const PACKETS: &[PayloadType] = &[PayloadType::Packet];
-
-    const fn port(name: &'static str, types: &'static [PayloadType]) -> Port {
-        Port::new(name, types, "")
-    }
-
-    /// `in=64` and `out=32` say the channels of `map` and `made`.
-    fn maps(settings: &[String]) -> Vec<(&'static str, KnownMap)> {
-        let of = |port, key: &str| {
-            let channels = settings
-                .iter()
-                .find_map(|setting| setting.strip_prefix(key)?.parse().ok());
-            let size = [None, None, channels];
-            (port, KnownMap { size, by: key.into() })
-        };
-        vec![of("map", "in="), of("made", "out=")]
-    }
-
-    const fn stage(name: &'static str, inputs: &'static [Port], outputs: &'static [Port]) -> Registration {
-        Registration {
-            name,
-            about: "",
-            role: realo_operator::Role::Operator,
-            inputs,
-            outputs,
-            settings: &[],
-            counters: &[],
-            defaults: Default::default,
-            check: |_| Ok(()),
-            examine: |_| Ok(()),
-            maps,
-            build: |_| Err("".into()),
-        }
-    }
 
     static REGISTRY: Registry = Registry(&[
         stage("encoder", &[], &[port("made", MAPS)]),
@@ -143,7 +107,7 @@ mod tests {
             (&crossed[1], "others_head", 64, "ego", 8),
         ] {
             let words = format!(
-                "node `{head}`, port `map`: expected maps of {expected} channels (in=), found {made} channels from `{maker}`"
+                "node `{head}`, port `map`: expected maps of {expected} channels (in.onnx), found {made} channels from `{maker}`"
             );
             assert!(line.contains(&words), "{line}");
         }

@@ -7,11 +7,11 @@ use eyre::{Result, bail};
 use realo_diagram::Diagram;
 use realo_graph::{FlatGraph, FlatNode, Input, InputSource};
 use realo_operator::{Durations, Role};
-use realo_results::{GraphStages, LinkBooks, Run, read_run};
+use realo_results::{GROUP, GraphStages, LinkBooks, Run, read_run};
 use realo_schemas::{Kind, PayloadType, to_millis};
 
 use super::stages::{self, types};
-use crate::run::described::{GROUP, PROCESS};
+use crate::run::described::PROCESS;
 use crate::{registry, roles};
 
 /// Below this nothing is said of a time, ms.

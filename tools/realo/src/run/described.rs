@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use realo_graph::{FlatGraph, FlatNode, Input};
-use realo_results::GraphStages;
+use realo_results::{GROUP, GraphStages};
 use sha2::{Digest, Sha256};
 
 use super::named;
@@ -36,8 +36,6 @@ const SETTINGS: &str = "settings.";
 
 /// The process that hosts a stage.
 pub const PROCESS: &str = "process";
-/// The module that groups a stage's process with others.
-pub const GROUP: &str = "group";
 
 /// The stages of an expanded graph: of each what it `runs`, its `process`, that one's `group`, `settings.KEY`, `inputs.PORT` and
 /// `env.NAME`.
