@@ -98,6 +98,15 @@ pub struct Clock {
 }
 
 impl Clock {
+    /// Of a log that is written now: its time is that of the wall.
+    pub fn live(now: Nanos) -> Clock {
+        Clock {
+            wall_origin: now,
+            log_origin: now,
+            rate: 1.0,
+        }
+    }
+
     /// Log time at a wall time.
     pub fn log_at(&self, wall: Nanos) -> Nanos {
         self.log_origin + ((wall - self.wall_origin) as f64 * self.rate).round() as Nanos

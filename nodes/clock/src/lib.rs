@@ -2,10 +2,14 @@
 //!
 //! Drivers and gateways read clocks; operators get the time from their driver.
 
+mod line;
+
 use std::sync::LazyLock;
 use std::time::{Instant, SystemTime, UNIX_EPOCH};
 
 use realo_schemas::Nanos;
+
+pub use line::wall_now;
 
 /// Time since the process asked first, ns, on a clock that never steps.
 pub fn steady() -> Nanos {

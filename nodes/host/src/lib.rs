@@ -9,7 +9,6 @@ mod reorder;
 mod shared;
 mod stages;
 mod tap;
-mod time;
 pub mod virtual_time;
 
 pub use profile::ComputeProfile;
@@ -17,4 +16,3 @@ pub use program::{Child, Guard, Program, interpreter, python};
 pub use shared::{Outline, Shared, Sharing};
 pub use stages::{BuildError, Stages};
 pub use tap::{Inlet, Seen, Sweeps, TAP_VARIABLE, Tap};
-pub use time::wall_now;

@@ -13,14 +13,13 @@ use std::thread::JoinHandle;
 
 use bytes::Bytes;
 use realo_operator::Waker;
-use realo_schemas::{Name, Nanos};
+use realo_schemas::{Clock, Name, Nanos};
 use zenoh::bytes::ZBytes;
 use zenoh::pubsub::Subscriber;
 use zenoh::qos::{CongestionControl, Priority};
 use zenoh::sample::{Sample, SampleKind};
 use zenoh::{Session, Wait};
 
-use crate::clock::steady;
 use crate::protocol::Offer;
 use crate::refusal::Refusals;
 use crate::session::{NetworkError, Place, open, zenoh_error};
@@ -119,9 +118,9 @@ impl Network {
         self.heard.try_send(Heard::Offer(offer)).is_ok()
     }
 
-    /// Says what time it is in the graph.
-    pub fn set_time(&self, log: Nanos) {
-        lock(&self.shared).clock = Some((steady(), log));
+    /// Says where the graph's time lies on that of [`wall_now`](crate::clock::wall_now).
+    pub fn set_clock(&self, clock: Clock) {
+        lock(&self.shared).clock = Some(clock);
     }
 
     /// What has come since the last call.

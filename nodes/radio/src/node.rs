@@ -177,7 +177,7 @@ impl Gateway for Radio {
         | Input::Fallback(header, packet)
         | Input::LastFallback(header, packet)) = input;
         let Some(network) = &self.network else { return Ok(()) };
-        network.set_time(out.now());
+        tell(network, out);
         if matches!(header.kind, Kind::Truth | Kind::Report | Kind::Motion) {
             return Err(RadioError::Kind(header.kind).into());
         }
@@ -200,9 +200,9 @@ impl Gateway for Radio {
         Ok(())
     }
 
-    fn on_wake(&mut self, now: Nanos, out: &mut Outputs<Output>) -> Result<(), Error> {
+    fn on_wake(&mut self, _: Nanos, out: &mut Outputs<Output>) -> Result<(), Error> {
         let Some(network) = &self.network else { return Ok(()) };
-        network.set_time(now);
+        tell(network, out);
         let taken = network.take();
         self.reports = taken.reports;
         self.counted = taken.refused;
@@ -397,6 +397,13 @@ impl Radio {
             self.courses.pop_last();
         }
         self.courses.entry(from.clone()).or_insert_with(Course::busy)
+    }
+}
+
+/// Tells the network where the log lies on the wall clock: what a call takes it for is late by what the call waited.
+fn tell(network: &Network, out: &Outputs<Output>) {
+    if let Some(clock) = out.log_clock() {
+        network.set_clock(clock);
     }
 }
 

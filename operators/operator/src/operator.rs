@@ -281,6 +281,7 @@ pub trait Sink: Describe + Sized {
 #[derive(Debug)]
 pub struct Outputs<O = AnyOutput> {
     now: Nanos,
+    clock: Option<Clock>,
     made: Made,
     steps: Steps,
     stage: PhantomData<fn(O)>,
@@ -314,16 +315,18 @@ impl<O> Outputs<O> {
     pub fn at(now: Nanos) -> Self {
         Outputs {
             now,
+            clock: None,
             made: Made::default(),
             steps: Steps::default(),
             stage: PhantomData,
         }
     }
 
-    /// The same of a driver that has a clock, for the steps of the call.
-    pub fn with_clock(self, clock: fn() -> Nanos) -> Self {
+    /// The same of a driver in real time: where the log lies on the wall clock, once that is known, and what times the steps of the call.
+    pub fn in_real_time(self, clock: Option<Clock>, steps: fn() -> Nanos) -> Self {
         Outputs {
-            steps: Steps::timed_by(clock),
+            clock,
+            steps: Steps::timed_by(steps),
             ..self
         }
     }
@@ -331,6 +334,11 @@ impl<O> Outputs<O> {
     /// When the call started, on the log's time line.
     pub fn now(&self) -> Nanos {
         self.now
+    }
+
+    /// Where the log lies on the wall clock, for what goes on between calls; `None` in virtual time, and until a message has brought it.
+    pub fn log_clock(&self) -> Option<Clock> {
+        self.clock
     }
 
     /// Sends a message whose header derives from those of the inputs that made it. A `ready` before now becomes now;
@@ -487,6 +495,7 @@ impl Outputs {
     pub(crate) fn of_stage<O, T>(&mut self, call: impl FnOnce(&mut Outputs<O>) -> T) -> T {
         let mut out = Outputs {
             now: self.now,
+            clock: self.clock,
             made: mem::take(&mut self.made),
             steps: mem::take(&mut self.steps),
             stage: PhantomData,
@@ -494,5 +503,23 @@ impl Outputs {
         let done = call(&mut out);
         (self.made, self.steps) = (out.made, out.steps);
         done
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn a_stage_in_real_time_knows_where_its_log_lies_on_the_wall_clock() {
+        let clock = Clock {
+            rate: 2.0,
+            ..Clock::live(1_000)
+        };
+        let mut out = Outputs::<AnyOutput>::at(7);
+        assert_eq!(out.of_stage(|out: &mut Outputs<()>| out.log_clock()), None);
+        let mut out = out.in_real_time(Some(clock), || 0);
+        assert_eq!(out.of_stage(|out: &mut Outputs<()>| out.log_clock()), Some(clock));
+        assert_eq!(clock.log_at(1_500), 2_000);
     }
 }

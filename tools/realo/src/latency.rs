@@ -9,10 +9,9 @@ use std::time::{Duration, Instant};
 use clap::ArgGroup;
 use eyre::{Result, WrapErr, bail, eyre};
 use realo_cli::{Force, Outcome, Output};
-use realo_host::wall_now;
 use realo_logs::Log;
 use realo_operator::Waker;
-use realo_radio::clock::{steady, wall};
+use realo_radio::clock::{steady, wall, wall_now};
 use realo_radio::course::{Came, Course};
 use realo_radio::keys::{Own, Trusted};
 use realo_radio::network::{Network, Taken};
@@ -24,7 +23,7 @@ use realo_radio::session::Place;
 use realo_radio::station::{Event, Station};
 use realo_radio::{Endpoint, body};
 use realo_schemas::report::Phase;
-use realo_schemas::{Kind, Name, Nanos, to_millis};
+use realo_schemas::{Clock, Kind, Name, Nanos, to_millis};
 use serde::Serialize;
 
 use crate::{demo, precompute, run};
@@ -149,14 +148,13 @@ impl End {
         });
         let station = Station::new(name, settings, LARGEST, wall() as u64, seal);
         let network = Network::join(&place, station, waker)?;
-        network.set_time(wall_now());
+        network.set_clock(Clock::live(wall_now()));
         Ok(End { network, woken })
     }
 
     /// What came until now, waiting at most so long for it.
     fn take(&self, wait: Duration) -> Taken {
         let _ = self.woken.recv_timeout(wait);
-        self.network.set_time(wall_now());
         self.network.take()
     }
 

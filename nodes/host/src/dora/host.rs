@@ -10,13 +10,13 @@ use std::time::{Duration, Instant};
 
 use dora_node_api::DoraNode;
 use dora_node_api::dora_core::config::DataId;
+use realo_clock::wall_now;
 use realo_engine::{Engine, EngineError, Leaving, Servers, Step, Task};
 use realo_operator::{Built, InputBooks, Outputs, PortId, Registration, Waker};
 use realo_schemas::{Message, Nanos, wire};
 
 use crate::Stages;
 use crate::tap::tap_of_this_process;
-use crate::time::wall_now;
 
 use self::outbox::Outbox;
 use super::edges::Edge;
@@ -181,9 +181,10 @@ fn work(shared: &Shared) {
         if state.engine.next_due().is_some_and(|due| due <= now) {
             shared.work.notify_one();
         }
+        let out = Outputs::at(task.ticket.start).in_real_time(state.engine.clock(), realo_clock::steady);
         let registration = state.engine.registration(task.ticket.stage);
         drop(state);
-        if let Err(error) = call(shared, task, built, registration) {
+        if let Err(error) = call(shared, task, built, registration, out) {
             return shared.fail(error);
         }
         state = shared.lock();
@@ -196,9 +197,9 @@ fn call(
     Task { ticket, call, fates }: Task,
     mut built: Built,
     registration: &'static Registration,
+    out: Outputs,
 ) -> Result<(), HostError> {
     let begun = Instant::now();
-    let out = Outputs::at(ticket.start).with_clock(realo_clock::steady);
     let called = call.make(&mut built, registration, out, &fates);
     let took = begun.elapsed().as_nanos() as Nanos;
     let mut state = shared.lock();

@@ -8,10 +8,10 @@ use std::time::Duration;
 
 use arrow::array::{Array, ArrayRef};
 use dora_node_api::{Event, EventStream, StopCause};
+use realo_clock::wall_now;
 use realo_schemas::Nanos;
 
 use super::marks::End;
-use crate::time::wall_now;
 
 /// Events that are taken from dora and wait to be looked into, at most.
 const MOST: usize = 1024;

@@ -3,13 +3,13 @@
 use std::collections::BTreeSet;
 use std::time::Duration;
 
+use realo_clock::wall_now;
 use realo_operator::{AnySource, Error, PortId};
 use realo_schemas::{Clock, Message, Nanos};
 
 use super::HostError;
 use super::host::Shared;
 use super::tether::is_ending;
-use crate::time::wall_now;
 
 /// Time in which hellos open dora's routes before the first message. dora sends the first messages of an output a
 /// longer way, and on a busy machine the nodes of a graph need seconds to find each other.
@@ -76,13 +76,7 @@ fn play(shared: &Shared, stage: usize, mut source: Box<dyn AnySource>) -> Result
 /// What comes from outside does not wait for the graph.
 fn open_live(shared: &Shared) -> Result<(), HostError> {
     open_routes(shared)?;
-    let now = wall_now();
-    let clock = Clock {
-        wall_origin: now,
-        log_origin: now,
-        rate: 1.0,
-    };
-    shared.lock().engine.set_clock(clock);
+    shared.lock().engine.set_clock(Clock::live(wall_now()));
     Ok(())
 }
 

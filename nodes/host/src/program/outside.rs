@@ -2,13 +2,13 @@
 
 use std::collections::VecDeque;
 
+use realo_clock::wall_now;
 use realo_operator::{AnyOperator, AnySink, AnySource, Books, Built, Counts, Error, Outputs, PortId, Role};
 use realo_schemas::report::Fated;
 use realo_schemas::{Clock, Message, Nanos};
 
 use super::Child;
 use crate::dora::is_ending;
-use crate::time::wall_now;
 
 impl Child {
     /// The stage that the program serves. A sink opens what it needs.

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use realo_schemas::{Name, Nanos};
+use realo_schemas::{Clock, Name};
 
 use super::{EVENT_BYTES, EVENTS, SHARE, WAITING, WAITING_BYTES};
 use crate::refusal::Refusals;
@@ -11,8 +11,8 @@ use crate::station::{Event, MessageId, Report};
 /// What the graph's calls and the thread share.
 #[derive(Default)]
 pub(super) struct Shared {
-    /// A moment at which the graph's time was known.
-    pub clock: Option<(Nanos, Nanos)>,
+    /// Where the graph's time lies, once that is known.
+    pub clock: Option<Clock>,
     pub events: Vec<Event>,
     /// Bytes of the messages among the events.
     event_bytes: usize,

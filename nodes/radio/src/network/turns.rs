@@ -9,7 +9,7 @@ use realo_schemas::Nanos;
 
 use super::shared::Shared;
 use super::{AT_A_TIME, Heard, LINGER, LOOK, Posts, lock};
-use crate::clock::{steady, wall, wall_error};
+use crate::clock::{steady, wall, wall_error, wall_now};
 use crate::station::{Event, Moment, Station};
 
 /// The thread.
@@ -105,11 +105,10 @@ impl Loop {
     }
 
     fn now(&self) -> Moment {
-        let steady = steady();
         let clock = lock(&self.shared).clock;
         Moment {
-            steady,
-            log: clock.map(|(then, log)| log + (steady - then)),
+            steady: steady(),
+            log: clock.map(|clock| clock.log_at(wall_now())),
             wall: wall(),
             wall_error: self.wall_error,
         }

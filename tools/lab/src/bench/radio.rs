@@ -19,7 +19,7 @@ use realo_radio::network::Network;
 use realo_radio::protocol::{Offer, Settings};
 use realo_radio::session::Place;
 use realo_radio::station::{Event, Station};
-use realo_schemas::{Kind, Nanos, to_millis};
+use realo_schemas::{Clock, Kind, Nanos, to_millis};
 use serde::{Deserialize, Serialize};
 use zenoh::Wait;
 
@@ -429,7 +429,7 @@ fn over_radio(args: &End) -> Result<Vec<Came>> {
             let _ = wake.send(());
         }),
     )?;
-    network.set_time(wall());
+    network.set_clock(Clock::live(wall()));
     let mut came = Vec::new();
     if args.sends {
         std::thread::sleep(MEETING);

@@ -7,6 +7,7 @@ use std::time::Duration;
 
 use dora_node_api::dora_core::config::DataId;
 use dora_node_api::{DoraNode, MetadataParameters, NodeResult};
+use realo_clock::wall_now;
 use realo_engine::{Engine, Leaving};
 use realo_operator::{Built, PortId};
 use realo_schemas::{Message, Nanos, wire};
@@ -19,7 +20,6 @@ use crate::dora::inbox::WakeHandle;
 use crate::dora::load::Load;
 use crate::dora::marks::{End, Hello};
 use crate::stages::Tapped;
-use crate::time::wall_now;
 
 /// `None` once the process has left dora.
 pub(super) type Sender = Option<DoraNode>;

@@ -2,8 +2,9 @@
 
 use std::sync::LazyLock;
 
-use realo_clock::{steady, wall};
 use realo_schemas::Nanos;
+
+use crate::{steady, wall};
 
 /// Readings of both clocks of which the closest two count: between others the thread stood still.
 const READINGS: usize = 8;
@@ -34,11 +35,11 @@ mod tests {
 
     #[test]
     fn wall_time_is_that_of_the_machine_and_goes_on_with_the_steady_clock() {
-        let off = || (wall_now() - realo_clock::wall()).abs();
+        let off = || (wall_now() - wall()).abs();
         // A reading may be held up, not all of them.
         assert!((0..100).any(|_| off() < 1_000_000));
-        let between = wall_now() - realo_clock::steady();
-        assert!((0..100).any(|_| (wall_now() - realo_clock::steady() - between).abs() < 100_000));
+        let between = wall_now() - steady();
+        assert!((0..100).any(|_| (wall_now() - steady() - between).abs() < 100_000));
     }
 
     #[test]
