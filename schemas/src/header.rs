@@ -98,7 +98,7 @@ pub struct Clock {
 }
 
 impl Clock {
-    /// Of a log that is written now: its time is that of the wall.
+    /// Of a log that is written now: its time is that of the wall. `now`: ns since the epoch.
     pub fn live(now: Nanos) -> Clock {
         Clock {
             wall_origin: now,
