@@ -300,19 +300,54 @@ impl SensorClock {
             || self.faults.iter().any(often)
     }
 
+    /// Whether these are the stamps as they were written, and `offset_ms` is what whoever plays the log adds to them.
+    fn is_as_written(&self) -> bool {
+        self.offset_ms.is_some() && self.by.is_none()
+    }
+
+    /// Takes in what another stage of the same run found of the same messages. Where one of the two put the stamps right and the other
+    /// saw them so, the offset is that of the stamps as they were written.
+    pub fn join(&mut self, other: &SensorClock) {
+        let mut seen = other.clone();
+        if other.is_as_written() && !self.is_as_written() {
+            std::mem::swap(self, &mut seen);
+        }
+        let messages = self.messages.max(seen.messages);
+        if self.is_as_written() && !seen.is_as_written() {
+            for (fault, count) in &seen.faults {
+                let known = self.faults.entry(fault.clone()).or_default();
+                *known = known.saturating_add(*count);
+            }
+            let offset_ms = self.offset_ms.zip(seen.offset_ms).map(|(moved, left)| moved + left);
+            let (counts, step_ms) = (self.counts.take(), self.step_ms.take());
+            *self = SensorClock {
+                offset_ms: offset_ms.or(self.offset_ms),
+                counts: counts.or(seen.counts.take()),
+                step_ms: step_ms.or(seen.step_ms.take()),
+                faults: std::mem::take(&mut self.faults),
+                ..seen
+            };
+        } else if seen.certainty() > self.certainty() || (self.offset_ms.is_none() && !self.is_notable()) {
+            *self = seen;
+        }
+        self.messages = messages;
+    }
+
+    /// By which of two is told: what is worth a word, and is the more surely off.
+    fn certainty(&self) -> (bool, f64) {
+        let [offset, bound] = [self.offset_ms, self.bound_ms].map(|value| value.unwrap_or(0.0));
+        (self.is_notable(), offset.abs() - bound)
+    }
+
     /// Adds what another run found of the same clock: faults of both, and the offset that is more surely one.
     pub fn add(&mut self, other: &SensorClock) {
-        let surely = |clock: &SensorClock| {
-            let [offset, bound] = [clock.offset_ms, clock.bound_ms].map(|value| value.unwrap_or(0.0));
-            offset.abs() - bound
-        };
         let mut faults = std::mem::take(&mut self.faults);
         for (fault, count) in &other.faults {
             let known = faults.entry(fault.clone()).or_default();
             *known = known.saturating_add(*count);
         }
         let messages = self.messages.saturating_add(other.messages);
-        if (other.is_notable(), surely(other)) > (self.is_notable(), surely(self)) || self.offset_ms.is_none() {
+        if other.certainty() > self.certainty() || self.offset_ms.is_none() {
             self.clone_from(other);
         }
         (self.faults, self.messages) = (faults, messages);
@@ -425,6 +460,45 @@ mod tests {
         sum.add(&clock(0.5, &[]));
         assert_eq!((sum.offset_ms, sum.messages), (Some(-80.0), 300));
         assert_eq!(sum.faults.values().copied().collect::<Vec<_>>(), [3, 3]);
+    }
+
+    #[test]
+    fn one_run_s_messages_count_once_and_stamps_are_those_that_were_written() {
+        let clock = |offset_ms: Option<f64>, faults: &[(&str, u64)]| SensorClock {
+            agent: "cav2".into(),
+            sensor: "imu".into(),
+            messages: 100,
+            offset_ms,
+            faults: faults.iter().map(|(fault, n)| (fault.to_string(), *n)).collect(),
+            ..SensorClock::default()
+        };
+        let moved = SensorClock {
+            step_ms: Some(700.0),
+            ..clock(Some(-700.0), &[("stamp_ahead", 1)])
+        };
+        let seen = SensorClock {
+            messages: 99,
+            bound_ms: Some(2.5),
+            by: Some(OffsetBy::Arrival),
+            ..clock(Some(-1.0), &[("stamp_repeated", 2)])
+        };
+        let unseen = SensorClock {
+            messages: 99,
+            ..clock(None, &[])
+        };
+        for stages in [[&moved, &seen, &seen], [&seen, &moved, &seen], [&seen, &seen, &moved]] {
+            let mut sum = stages[0].clone();
+            stages[1..].iter().for_each(|stage| sum.join(stage));
+            assert_eq!((sum.messages, sum.step_ms), (100, Some(700.0)));
+            assert_eq!((sum.offset_ms, sum.bound_ms), (Some(-701.0), Some(2.5)));
+            assert_eq!(sum.faults.values().copied().collect::<Vec<_>>(), [1, 2]);
+        }
+        for [first, second] in [[&moved, &unseen], [&unseen, &moved]] {
+            let mut sum = first.clone();
+            sum.join(second);
+            assert_eq!((sum.messages, sum.offset_ms, sum.bound_ms), (100, Some(-700.0), None));
+            assert_eq!((sum.by, sum.step_ms), (None, Some(700.0)));
+        }
     }
 
     #[test]

@@ -53,7 +53,7 @@ pub fn keep_nearest(seen: Vec<Seen>, threshold: f64) -> Vec<Box3> {
 
 /// Late fusion: of several boxes of one object keeps the one seen from nearest.
 #[derive(Describe)]
-#[stage(input = Input<Boxes>, counters(FARTHER_BOXES, realo_fusion::OVER_LIMIT_MESSAGES, realo_fusion::REJECTED_MESSAGES))]
+#[stage(input = Input<Boxes>, counters(FARTHER_BOXES, realo_fusion::OVER_LIMIT_MESSAGES, realo_fusion::REJECTED_MESSAGES, realo_fusion::OTHER_LEVEL))]
 pub struct FusionNearest {
     settings: Settings,
     pairing: Pairing<Boxes>,

@@ -1,9 +1,11 @@
 //! Stamps that are put right while a log is read: those of clocks that step, or count something else than the log's times.
 //!
-//! Each sensor has a clock; its stamps are watched against the log times ([`StampWatch`]). What is labelled with the stamp of a sweep,
-//! boxes and truth, goes with that sweep.
+//! Each sensor's stamps are watched against the log times ([`StampWatch`]). Sensors of an agent whose clocks are off by the same, up to
+//! what messages may be delayed, have one clock ([`one_clock`]). What is labelled with the stamp of a sweep, boxes and truth, goes with
+//! that sweep.
 
 use std::collections::BTreeMap;
+use std::ops::Range;
 
 use realo_schemas::report::SensorClock;
 use realo_schemas::{Name, Nanos, SAME_STAMP, to_millis};
@@ -99,10 +101,20 @@ impl Rebased {
 }
 
 /// A message, and what becomes of its stamp.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
 struct Seen {
     stamp: Nanos,
     ready: Nanos,
     shift: Option<Nanos>,
+    /// Whether the clock is another one from here on.
+    is_new_clock: bool,
+}
+
+/// The messages of a stream, what was seen of their stamps, and the first that is not right.
+struct WatchedStream {
+    stream: Stream,
+    watch: StampWatch,
+    seen: Vec<Seen>,
 }
 
 impl Log {
@@ -123,14 +135,22 @@ impl Log {
             .map(|agent| agent.name.as_str().into())
             .collect();
         for agent in agents {
+            let mut streams = Vec::new();
             for stream in SENSED.into_iter().filter(|stream| self.has(&agent, *stream)) {
                 let is_pose = matches!(stream, Stream::Pose | Stream::PoseTruth);
                 // The pose of a unit that stands still may have any stamp.
                 if is_pose && Standing::is_without_stamps(self, &agent, stream)? {
                     continue;
                 }
-                let (watched, of) = self.watch(&agent, stream, handling)?;
-                rebased.take((agent.clone(), stream), watched);
+                streams.push(self.watch(&agent, stream, handling)?);
+            }
+            if handling == Handling::Rebase {
+                let mut seen: Vec<&mut [Seen]> = streams.iter_mut().map(|watched| &mut watched.seen[..]).collect();
+                one_clock(&mut seen);
+            }
+            for watched in streams {
+                let of = watched.told(&agent);
+                rebased.take((agent.clone(), watched.stream), watched.seen);
                 found.extend((of.moved + of.left_out > 0).then_some(of));
             }
         }
@@ -138,36 +158,136 @@ impl Log {
         Ok(found)
     }
 
-    fn watch(&self, agent: &Name, stream: Stream, handling: Handling) -> Result<(Vec<Seen>, RebasedStream), LogError> {
+    fn watch(&self, agent: &Name, stream: Stream, handling: Handling) -> Result<WatchedStream, LogError> {
         let mut watch = StampWatch::new(handling);
         let mut reader = self.read_unjudged(&[(agent, stream)])?;
-        let (mut all, mut first) = (Vec::new(), None);
+        let mut seen = Vec::new();
         while let Some(entry) = reader.next()? {
             let (stamp, ready) = (entry.stamp(), entry.ready());
             let is_far = handling == Handling::Drop && Step::of(stream, stamp, ready) == Step::Off;
-            let right = watch.take(stamp, ready).stamp.or(is_far.then_some(stamp));
-            let shift = right.map(|right| right.saturating_sub(stamp));
-            if shift != Some(0) {
-                first.get_or_insert((stamp, ready));
-            }
-            all.push(Seen { stamp, ready, shift });
+            let watched = watch.take(stamp, ready);
+            let right = watched.stamp.or(is_far.then_some(stamp));
+            seen.push(Seen {
+                stamp,
+                ready,
+                shift: right.map(|right| right.saturating_sub(stamp)),
+                is_new_clock: watched.is_new_clock,
+            });
         }
-        let count = |is: fn(&Option<Nanos>) -> bool| all.iter().filter(|seen| is(&seen.shift)).count() as u64;
-        let of = RebasedStream {
-            agent: agent.clone(),
-            stream,
-            messages: all.len() as u64,
-            moved: count(|shift| shift.is_some_and(|shift| shift != 0)),
-            left_out: count(Option::is_none),
-            found: first.map_or_else(String::new, |first| words(stream, &watch, first)),
-            clock: clock(agent, stream, all.len() as u64, &watch),
-        };
-        Ok((all, of))
+        Ok(WatchedStream { stream, watch, seen })
     }
 }
 
+impl WatchedStream {
+    /// What becomes of the stream.
+    fn told(&self, agent: &Name) -> RebasedStream {
+        let count = |is: fn(&Option<Nanos>) -> bool| self.seen.iter().filter(|seen| is(&seen.shift)).count() as u64;
+        let first = self.seen.iter().find(|seen| seen.shift != Some(0));
+        let last = self.seen.iter().rev().find_map(|seen| seen.shift);
+        let messages = self.seen.len() as u64;
+        let shift = last.filter(|shift| *shift != 0).unwrap_or(self.watch.shift());
+        RebasedStream {
+            agent: agent.clone(),
+            stream: self.stream,
+            messages,
+            moved: count(|shift| shift.is_some_and(|shift| shift != 0)),
+            left_out: count(Option::is_none),
+            found: first.map_or_else(String::new, |first| {
+                words(self.stream, &self.watch, (first.stamp, first.ready))
+            }),
+            clock: clock(agent, self.stream, messages, shift, &self.watch),
+        }
+    }
+}
+
+/// Clocks that are off by the same, up to so much, ns, are one: a message may be delayed by as much.
+const DELAYED: Nanos = 300_000_000;
+/// And they were first seen, or stepped, within so much, ns: a step back is sure only after some messages.
+const TOGETHER: Nanos = 3_000_000_000;
+
+/// Messages of a stream from one step of its clock to the next.
+#[derive(Clone, Copy)]
+struct Era {
+    stream: usize,
+    /// Its first message, and the first after it.
+    begin: usize,
+    until: usize,
+    /// When the first arrived.
+    from: Nanos,
+    /// What is added to its stamps at its end, ns, and by how much more that is than at the end of the era before.
+    shift: Nanos,
+    by: Nanos,
+    is_first: bool,
+}
+
+/// Gives the same shift to streams of an agent that have one clock, from their first message on or since a step.
+///
+/// The stamps of one clock are all off by the same. By how much looks different to each sensor, because its messages are delayed by
+/// as much as they are: a sweep arrives when it is whole. A clock that was never right is off by what the quickest sensor shows, for no
+/// message comes early. A step is as large as the sensor with the most messages shows.
+fn one_clock(streams: &mut [&mut [Seen]]) {
+    let eras = streams
+        .iter()
+        .enumerate()
+        .flat_map(|(stream, seen)| eras_of(stream, seen));
+    let mut eras: Vec<Era> = eras.filter(|era| era.shift != 0).collect();
+    eras.sort_by_key(|era| (era.from, era.stream));
+    while let [lead, ..] = eras[..] {
+        let is_same = |era: &Era| {
+            era.is_first == lead.is_first
+                && era.from.abs_diff(lead.from) <= TOGETHER.unsigned_abs()
+                && era.shift.abs_diff(lead.shift) <= DELAYED.unsigned_abs()
+        };
+        let (same, others): (Vec<Era>, Vec<Era>) = eras.into_iter().partition(is_same);
+        eras = others;
+        let least = same.iter().map(|era| era.shift).min().unwrap_or(lead.shift);
+        let surest = same.iter().max_by_key(|era| era.until - era.begin).unwrap_or(&lead).by;
+        for era in same {
+            let seen = &mut *streams[era.stream];
+            let before = seen[..era.begin].iter().rev().find_map(|seen| seen.shift);
+            let shift = before.map_or(least, |before| before.saturating_add(surest));
+            put(seen, era.begin..era.until, shift);
+        }
+    }
+}
+
+/// Gives messages a shift. One that would not come after all before it is left out.
+fn put(seen: &mut [Seen], messages: Range<usize>, shift: Nanos) {
+    let shifted = |seen: &Seen, shift: Nanos| seen.stamp.saturating_add(shift);
+    let before = seen[..messages.start].iter().rev();
+    let last = before.filter_map(|seen| Some(shifted(seen, seen.shift?))).next();
+    for seen in &mut seen[messages] {
+        let rises = last.is_none_or(|last| shifted(seen, shift) > last);
+        seen.shift = seen.shift.and(rises.then_some(shift));
+    }
+}
+
+/// The eras of a stream that have any message to go on with.
+fn eras_of(stream: usize, seen: &[Seen]) -> Vec<Era> {
+    let begins: Vec<usize> = (0..seen.len()).filter(|at| seen[*at].is_new_clock).collect();
+    let mut before = None;
+    let mut eras = Vec::new();
+    for (number, begin) in begins.iter().copied().enumerate() {
+        let until = begins.get(number + 1).copied().unwrap_or(seen.len());
+        let Some(shift) = seen[begin..until].iter().rev().find_map(|seen| seen.shift) else {
+            continue;
+        };
+        eras.push(Era {
+            stream,
+            begin,
+            until,
+            from: seen[begin].ready,
+            shift,
+            by: shift.saturating_sub(before.unwrap_or(0)),
+            is_first: before.is_none(),
+        });
+        before = Some(shift);
+    }
+    eras
+}
+
 /// What the stamps of a stream say of its clock.
-fn clock(agent: &Name, stream: Stream, messages: u64, watch: &StampWatch) -> SensorClock {
+fn clock(agent: &Name, stream: Stream, messages: u64, shift: Nanos, watch: &StampWatch) -> SensorClock {
     let sensor = match stream {
         Stream::Imu => Sensor::Imu,
         Stream::Fix => Sensor::Gnss,
@@ -181,7 +301,7 @@ fn clock(agent: &Name, stream: Stream, messages: u64, watch: &StampWatch) -> Sen
         agent: agent.to_string(),
         sensor: sensor.name().into(),
         messages,
-        offset_ms: Some(to_millis(watch.shift())),
+        offset_ms: Some(to_millis(shift)),
         counts: watch.epoch().and_then(Epoch::name).map(String::from),
         step_ms: (step != 0).then(|| to_millis(step)),
         faults: faults.seen().map(|(fault, n)| (fault.name().into(), n)).collect(),
@@ -217,9 +337,79 @@ mod tests {
     use super::*;
 
     const S: Nanos = 1_000_000_000;
+    const MS: Nanos = 1_000_000;
 
     fn seen(stamp: Nanos, ready: Nanos, shift: Option<Nanos>) -> Seen {
-        Seen { stamp, ready, shift }
+        Seen {
+            stamp,
+            ready,
+            shift,
+            is_new_clock: false,
+        }
+    }
+
+    /// What a watch makes of messages every `period` ms for 8 s, whose clock is off by `off`, and that arrive after `delay`, both ms at a
+    /// time in ms.
+    fn watched(period: i64, off: impl Fn(i64) -> i64, delay: impl Fn(i64) -> i64) -> Vec<Seen> {
+        let mut watch = StampWatch::new(Handling::Rebase);
+        let take = |number: i64| {
+            let at = number * period;
+            let (stamp, ready) = ((at + off(at)) * MS, (at + delay(at)) * MS);
+            let watched = watch.take(1_000 * S + stamp, 1_000 * S + ready);
+            Seen {
+                stamp: 1_000 * S + stamp,
+                ready: 1_000 * S + ready,
+                shift: watched.stamp.map(|right| right - 1_000 * S - stamp),
+                is_new_clock: watched.is_new_clock,
+            }
+        };
+        (0..8_000 / period).map(take).collect()
+    }
+
+    /// Of each stream, how far the stamps that go on are off, ms: least and most, and how many are left out.
+    fn errors(off: impl Fn(i64) -> i64 + Copy) -> Vec<(i64, i64, usize)> {
+        // A sweep is there when it is whole; a receiver takes its time; an inertial unit is quick, with jitter.
+        let mut streams = [
+            watched(100, off, |at| 100 + at / 100 % 4),
+            watched(10, off, |at| 1 + at / 10 % 7),
+            watched(100, off, |at| 60 + at / 100 % 5 * 9),
+        ];
+        let mut all: Vec<&mut [Seen]> = streams.iter_mut().map(|seen| &mut seen[..]).collect();
+        one_clock(&mut all);
+        let told = [100, 10, 100].into_iter().zip(&streams).map(|(period, seen)| {
+            let errors = seen.iter().enumerate().filter_map(|(number, seen)| {
+                let right = 1_000 * S + number as i64 * period * MS;
+                Some((seen.stamp + seen.shift? - right) / MS)
+            });
+            let errors: Vec<i64> = errors.collect();
+            let [least, most] = [errors.iter().min(), errors.iter().max()].map(|error| error.copied().unwrap());
+            (least, most, seen.len() - errors.len())
+        });
+        told.collect()
+    }
+
+    #[test]
+    fn sensors_of_one_clock_are_put_right_by_the_same() {
+        // A clock that is right stays as it is; one that is 2 h behind all the time is off by the delay of the quickest sensor.
+        assert_eq!(errors(|_| 0), [(0, 0, 0); 3]);
+        assert_eq!(errors(|_| -7_200_000), [(1, 1, 0); 3]);
+        // Steps, ahead and back: until they are sure messages are left out.
+        for step in [700, -900] {
+            let errors = errors(|at| if at < 4_000 { 0 } else { step });
+            assert!(
+                errors.iter().all(|(least, most, _)| (*least, *most) == (0, 0)),
+                "{step}: {errors:?}"
+            );
+        }
+    }
+
+    #[test]
+    fn sensors_of_different_clocks_stay_apart() {
+        let mut lidar = watched(100, |_| -5_000, |_| 100);
+        let mut imu = watched(10, |_| -5_600, |_| 1);
+        let before = [lidar.clone(), imu.clone()];
+        one_clock(&mut [&mut lidar, &mut imu]);
+        assert_eq!([lidar, imu], before);
     }
 
     #[test]

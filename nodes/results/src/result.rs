@@ -305,11 +305,20 @@ impl RunResult {
         }
     }
 
-    /// Adds what is known of a clock: of each sensor of an agent there is one entry, in the order of their names.
+    /// Adds what is known of a clock by another run: of each sensor of an agent there is one entry, in the order of their names.
     pub fn add_clock(&mut self, clock: &SensorClock) {
+        self.clock(clock, SensorClock::add);
+    }
+
+    /// Takes in what another stage of the same run knows of a clock.
+    pub fn join_clock(&mut self, clock: &SensorClock) {
+        self.clock(clock, SensorClock::join);
+    }
+
+    fn clock(&mut self, clock: &SensorClock, with: fn(&mut SensorClock, &SensorClock)) {
         let of = |clock: &SensorClock| (clock.agent.clone(), clock.sensor.clone());
         match self.clocks.binary_search_by_key(&of(clock), of) {
-            Ok(at) => self.clocks[at].add(clock),
+            Ok(at) => with(&mut self.clocks[at], clock),
             Err(at) => self.clocks.insert(at, clock.clone()),
         }
     }

@@ -332,7 +332,7 @@ fn take_books(result: &mut RunResult, books: &Books) {
                 .collect(),
             ..NodeSummary::default()
         };
-        node.clocks.iter().for_each(|clock| result.add_clock(clock));
+        node.clocks.iter().for_each(|clock| result.join_clock(clock));
         let busy = skipped_of_others(node, &result.egos);
         summary.losses.extend(happened((&"skipped".into(), &busy)));
         for (port, input) in &node.inputs {

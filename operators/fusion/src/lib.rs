@@ -27,8 +27,19 @@ pub const REJECTED_MESSAGES: Counter = Counter::loss(
     "messages could not be fused, because they have no pose, or lie in another frame or grid than the ego's",
     "all agents need one model and poses, and one of sender and receiver has to project (`--project`)",
 );
+/// Counts messages of agents whose heights cannot be those of one street.
+pub const OTHER_LEVEL: Counter = Counter::loss(
+    "other_level",
+    "messages of agents that are farther above or below the ego than a street may rise: 10 m, and a quarter of the way",
+    "messages are of agents that are farther above or below the ego than a street may rise, so they show nothing of its surroundings",
+    "do they drive on another level? If not, heights are of different references, such as the sea's level and the ellipsoid: `realo info` \
+     has the poses",
+);
 /// What every fusion counts.
-pub const COUNTERS: &[Counter] = &[OVER_LIMIT_MESSAGES, REJECTED_MESSAGES];
+pub const COUNTERS: &[Counter] = &[OVER_LIMIT_MESSAGES, REJECTED_MESSAGES, OTHER_LEVEL];
+
+/// Agents are on another level from so much of height between them on, m, and so much for each metre on the ground.
+const LEVEL: [f64; 2] = [10.0, 0.25];
 
 /// The inputs of a fusion of one form of payload; both come as one set.
 #[derive(Debug, Inputs)]
@@ -198,12 +209,28 @@ impl<T> Set<T> {
         }
     }
 
+    /// How much higher than the ego a sender is, and how far away on the ground, m.
+    fn rise(&self, header: &Header) -> Option<[f64; 2]> {
+        let ego = self.header.pose.as_ref()?.map_from_frame.translation;
+        let [x, y, z] = header.sender_position()?;
+        Some([z - ego.z, (x - ego.x).hypot(y - ego.y)])
+    }
+
     /// Sends what was fused of the set, and says what became of each collaborator's message.
     ///
     /// `output`: the port, such as `Output::Proposals`.
     pub fn send<P, O: StageOutputs>(self, output: impl FnOnce(Header, P) -> O, fused: P, out: &mut Outputs<O>) {
         for Collaborator { header, .. } in &self.collaborators {
             out.count_of(&REJECTED_MESSAGES, &header.agent, 0, 1);
+            let rise = self
+                .rise(header)
+                .filter(|[height, way]| height.abs() > LEVEL[0] + LEVEL[1] * way);
+            out.count_of(&OTHER_LEVEL, &header.agent, u64::from(rise.is_some()), 1);
+            if let Some([height, way]) = rise {
+                out.found(&OTHER_LEVEL, &header.agent, || {
+                    format!("{height:+.1} m, {way:.0} m away")
+                });
+            }
             out.used(header, &self.header);
         }
         for (header, fate) in &self.left_out {
@@ -422,6 +449,24 @@ mod tests {
         set.reject_other_frames();
         assert_eq!(agents(&set), ["cav2"]);
         assert_eq!((&*set.left_out[0].0.agent, set.left_out[0].1), ("rsu1", Fate::Rejected));
+    }
+
+    #[test]
+    fn agents_that_no_street_leads_to_are_named() {
+        let counted = |height: f64, way: f64| {
+            let mut message = boxes("cav2", way);
+            let pose = message.header.pose.as_mut().unwrap();
+            pose.map_from_frame.translation.z += height;
+            let mut out = Outputs::at(200);
+            paired(vec![message], None).send(Output::Fused, Boxes::default(), &mut out);
+            out.counted("other_level")
+        };
+        assert_eq!(
+            [0.0, 9.9, -9.9, 10.1, -47.0].map(|height| counted(height, 0.0)),
+            [0, 0, 0, 1, 1]
+        );
+        assert_eq!([19.9, -20.1].map(|height| counted(height, 40.0)), [0, 1]);
+        assert_eq!(counted(f64::NAN, 40.0), 0);
     }
 
     #[test]

@@ -66,7 +66,7 @@ fn place(collaborator: &Collaborator<Boxes>, seconds: Option<f64>, fused: &mut V
 #[derive(Describe)]
 #[stage(
     input = Input<Boxes>,
-    counters(LOW_SCORE_BOXES, MOVED_BOXES, UNMOVED_BOXES, realo_fusion::OVER_LIMIT_MESSAGES, realo_fusion::REJECTED_MESSAGES)
+    counters(LOW_SCORE_BOXES, MOVED_BOXES, UNMOVED_BOXES, realo_fusion::OVER_LIMIT_MESSAGES, realo_fusion::REJECTED_MESSAGES, realo_fusion::OTHER_LEVEL)
 )]
 pub struct FusionBoxes {
     settings: Settings,

@@ -95,7 +95,7 @@ fn count_empty(set: &Set<PointCloud>, merged: &PointCloud, out: &mut Outputs<Out
 
 /// Early fusion: brings collaborators' points to the ego's frame, behind its own.
 #[derive(Describe)]
-#[stage(input = Input<PointCloud>, counters(realo_fusion::OVER_LIMIT_MESSAGES, realo_fusion::REJECTED_MESSAGES, EMPTY_SWEEPS))]
+#[stage(input = Input<PointCloud>, counters(realo_fusion::OVER_LIMIT_MESSAGES, realo_fusion::REJECTED_MESSAGES, realo_fusion::OTHER_LEVEL, EMPTY_SWEEPS))]
 pub struct FusionPoints {
     settings: Settings,
     pairing: Pairing<PointCloud>,
