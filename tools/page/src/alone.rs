@@ -73,6 +73,11 @@ fn apart(run: &Run, alone: &Run) -> Option<&'static str> {
     PARTS.iter().zip(same).find(|(_, same)| !same).map(|(part, _)| *part)
 }
 
+/// Whether what a run has more than another one says anything.
+pub fn is_comparable(run: &Run, other: &Run) -> bool {
+    apart(run, other).is_none() && (is_alone(other) || is_same_mode(run, other))
+}
+
 fn is_same_mode(run: &Run, alone: &Run) -> bool {
     let (own, other) = (&run.result.settings, &alone.result.settings);
     own.mode == other.mode && own.compute == other.compute

@@ -17,6 +17,7 @@
 //! | `live` | the sweeps of a run that goes on |
 
 mod alone;
+mod beside;
 mod curves;
 mod document;
 mod error;
@@ -34,6 +35,7 @@ use std::path::{Path, PathBuf};
 use realo_report::differences;
 use realo_results::{Run, read_run};
 
+pub use beside::beside;
 pub use error::{DifferentProtocols, OtherRecording, PageError};
 pub use html::html;
 pub use live::{Live, Watched, live_page};

@@ -46,6 +46,11 @@ pub fn by_score(runs: &[(&str, &Run)]) -> Vec<usize> {
     order
 }
 
+/// The mean average precision of a run.
+pub(crate) fn mean(run: &Run, iou: &str) -> Option<f64> {
+    Scored::of(0, "", run, iou).map(|scored| scored.mean)
+}
+
 fn scored<'a>(runs: &[(&'a str, &'a Run)], iou: &str) -> Vec<Scored<'a>> {
     let all = runs.iter().enumerate();
     all.filter_map(|(at, (name, run))| Scored::of(at, name, run, iou))
@@ -362,7 +367,7 @@ fn ms(value: f64) -> String {
 }
 
 #[cfg(test)]
-mod tests {
+pub(crate) mod tests {
     use std::collections::BTreeMap;
 
     use realo_results::{Accounted, Cooperation, LinkBooks, RunResult, Samples, Settings, Timing};
@@ -370,7 +375,7 @@ mod tests {
 
     use super::*;
 
-    fn run(vehicle: f64, pedestrian: f64, fuses: bool) -> Run {
+    pub(crate) fn run(vehicle: f64, pedestrian: f64, fuses: bool) -> Run {
         let iou = |value| BTreeMap::from([("0.5".to_string(), Some(value))]);
         let accuracy = Accuracy {
             ap: BTreeMap::from([("vehicle".into(), iou(vehicle)), ("pedestrian".into(), iou(pedestrian))]),

@@ -56,9 +56,16 @@ impl Show {
     }
 }
 
-/// What a reader wants to know first: the numbers that matter, what they say, and what to look at next.
-pub fn print_opening(runs: &[(&str, &Run)], next: &str) {
+/// What a reader wants to know first: the numbers that matter, what they say, and what to look at next. `earlier`: runs that are not part of
+/// the table; a run by itself is compared with them.
+pub fn print_opening(runs: &[(&str, &Run)], earlier: &[(&str, &Run)], next: &str) {
     let mut sentences = realo_page::verdict(runs);
+    if let [(_, only)] = runs
+        && let Some(first) = sentences.first_mut()
+        && let Some(beside) = realo_page::beside(only, earlier)
+    {
+        *first = format!("{first} {beside}");
+    }
     sentences.push(format!("Next: {next}"));
     println!("{}", realo_report::opening(runs, &sentences, width()));
 }

@@ -1,6 +1,7 @@
 //! `realo run`: prepares graphs, has them run, and checks that the runs are complete.
 
 mod batch;
+mod beside;
 mod choices;
 mod compute;
 mod decisions;
@@ -486,7 +487,12 @@ fn play<'a>(
 fn show(args: &Args, runs: &[(&str, Run)]) {
     let named: Vec<(&str, &Run)> = runs.iter().map(|(name, run)| (*name, run)).collect();
     if !named.is_empty() && args.show.is_table() {
-        tables::print_opening(&named, &next(args, &named));
+        let earlier = match &named[..] {
+            [(name, _)] => beside::earlier(&dir_of(args, name)),
+            _ => Vec::new(),
+        };
+        let earlier: Vec<(&str, &Run)> = earlier.iter().map(|(name, run)| (name.as_str(), run)).collect();
+        tables::print_opening(&named, &earlier, &next(args, &named));
     }
     if !named.is_empty() {
         args.show.print(&named);
