@@ -118,23 +118,7 @@ pub fn judge(
     limits: &Limits,
 ) -> Result<Judgement, AssignmentError> {
     let boxes = said.boxes;
-    let mut seconds = if limits.moves {
-        origin.age_s + record.clock_s()
-    } else {
-        0.0
-    };
-    let all = |seconds: f64| objects(boxes, &origin.ego_from_sender, seconds, limits.max_boxes);
-    let mut theirs = all(seconds);
-    let (mut found, mut is_found) = place(&theirs, ego, origin, limits)?;
-    let mut ahead = record.clock_s();
-    if limits.moves && limits.clock_s > 0.0 {
-        let scene = Scene::new(ego.objects, &theirs);
-        if let Some(more) = ahead_s(&scene, &found.fit.shift, limits.clock_s) {
-            (ahead, seconds) = (ahead + more, seconds + more);
-            theirs = all(seconds);
-            (found, is_found) = place(&theirs, ego, origin, limits)?;
-        }
-    }
+    let (theirs, found, is_found, ahead) = placed(boxes, ego, origin, record, limits)?;
     let shift = if is_found {
         found.fit.shift
     } else {
@@ -177,6 +161,31 @@ pub fn judge(
     let unseen = weigh_trust(after.trust()) * if is_found { 1.0 } else { weigh_pose(pose_m) };
     judgement.keep(boxes, theirs, &seen, &found.fit, [weigh_scatter(scatter), unseen]);
     Ok(judgement)
+}
+
+/// Their objects at the ego's time by the clock that fits best, where they lie best, whether enough speaks for it, and how far their clock is
+/// ahead, s.
+fn placed(
+    boxes: &[Box3],
+    ego: &Ego,
+    origin: &Origin,
+    record: &Record,
+    limits: &Limits,
+) -> Result<(Vec<Object>, Found, bool, f64), AssignmentError> {
+    let mut ahead = record.clock_s();
+    let seconds = if limits.moves { origin.age_s + ahead } else { 0.0 };
+    let all = |seconds: f64| objects(boxes, &origin.ego_from_sender, seconds, limits.max_boxes);
+    let mut theirs = all(seconds);
+    let (mut found, mut is_found) = place(&theirs, ego, origin, limits)?;
+    if limits.moves && limits.clock_s > 0.0 {
+        let scene = Scene::new(ego.objects, &theirs);
+        if let Some(more) = ahead_s(&scene, &found.fit.shift, limits.clock_s) {
+            ahead += more;
+            theirs = all(seconds + more);
+            (found, is_found) = place(&theirs, ego, origin, limits)?;
+        }
+    }
+    Ok((theirs, found, is_found, ahead))
 }
 
 /// What the ego knows of one of their boxes.

@@ -64,15 +64,8 @@ pub(super) fn run(joined: Joined) -> Result<(), HostError> {
     } = joined;
     let tap = tap_of_this_process();
     let tapped = tap.as_ref().map(|tap| stages.let_see(tap)).unwrap_or_default();
-    let edges = froms.iter().map(|(name, from)| {
-        let inputs = stages.entries.get(name).cloned().unwrap_or_default();
-        Edge::new(name, from, inputs)
-    });
-    let mut exits: BTreeMap<(usize, PortId), Vec<DataId>> = BTreeMap::new();
-    for (name, output) in &stages.exits {
-        exits.entry(*output).or_default().push(DataId::from(name.clone()));
-    }
-    let edges: Vec<Edge> = edges.collect();
+    let edges = edges(&froms, &stages);
+    let exits = exits(&stages);
     let outputs = returning.iter().filter_map(|name| stages.exits.get(name));
     let returning: BTreeSet<(usize, PortId)> = outputs.copied().collect();
     let shared = Arc::new(Shared {
@@ -118,6 +111,24 @@ pub(super) fn run(joined: Joined) -> Result<(), HostError> {
         shared.leave();
     }
     ended
+}
+
+/// The inputs of the process.
+fn edges(froms: &BTreeMap<String, String>, stages: &Stages) -> Vec<Edge> {
+    let edge = |(name, from): (&String, &String)| {
+        let inputs = stages.entries.get(name).cloned().unwrap_or_default();
+        Edge::new(name, from, inputs)
+    };
+    froms.iter().map(edge).collect()
+}
+
+/// The process's outputs of dora by stage and port.
+fn exits(stages: &Stages) -> BTreeMap<(usize, PortId), Vec<DataId>> {
+    let mut exits: BTreeMap<(usize, PortId), Vec<DataId>> = BTreeMap::new();
+    for (name, output) in &stages.exits {
+        exits.entry(*output).or_default().push(DataId::from(name.clone()));
+    }
+    exits
 }
 
 /// Opens the ways to the world outside. What comes in before the process has a clock waits for the next call.

@@ -51,18 +51,7 @@ pub fn all(plans: &[&RunPlan], view: Option<&View>) -> Result<Vec<Result<()>>> {
     let replays: Result<Vec<Replay>> = plans.iter().map(|plan| Replay::of(plan, view)).collect();
     let replays = replays?;
     // Calls that are measured have the machine to themselves.
-    let one_by_one = plans.iter().any(|plan| plan.compute.measured);
-    // Threads of their own: who waits here can leave a call that takes long.
-    let playing = std::thread::Builder::new().spawn(move || match one_by_one {
-        true => (0..)
-            .zip(replays)
-            .for_each(|(number, replay)| replay.play(number, &sender)),
-        false => replays
-            .into_par_iter()
-            .enumerate()
-            .for_each_with(sender, |sender, (number, replay)| replay.play(number, sender)),
-    });
-    playing.map_err(signals::no_thread)?;
+    start(replays, plans.iter().any(|plan| plan.compute.measured), sender)?;
     let mut ended: Vec<Option<Result<()>>> = plans.iter().map(|_| None).collect();
     let mut is_concluding = vec![false; plans.len()];
     let mut egos = Egos {
@@ -108,6 +97,20 @@ pub fn all(plans: &[&RunPlan], view: Option<&View>) -> Result<Vec<Result<()>>> {
     Ok(named
         .map(|((ended, is_concluding), plan)| ended.unwrap_or_else(|| left(plan, is_concluding)))
         .collect())
+}
+
+/// Plays, one by one or several at a time, on threads of their own: who waits for what they say can leave a call that takes long.
+fn start(replays: Vec<Replay>, one_by_one: bool, sender: Sender<Said>) -> Result<()> {
+    let playing = std::thread::Builder::new().spawn(move || match one_by_one {
+        true => (0..)
+            .zip(replays)
+            .for_each(|(number, replay)| replay.play(number, &sender)),
+        false => replays
+            .into_par_iter()
+            .enumerate()
+            .for_each_with(sender, |sender, (number, replay)| replay.play(number, sender)),
+    });
+    playing.map(drop).map_err(signals::no_thread)
 }
 
 /// A line for each ego whose run goes on, below the one of all where there are several.
