@@ -1,6 +1,6 @@
 //! What the filter believes: a state, and the covariance of its error.
 
-use nalgebra::{Isometry3, Quaternion, SMatrix, SVector, UnitQuaternion, Vector3};
+use nalgebra::{Isometry3, Matrix3, Quaternion, SMatrix, SVector, UnitQuaternion, Vector3};
 
 /// Errors that are estimated: 15 of the motion, 3 of GNSS, 1 of the wheels.
 pub(crate) const STATES: usize = 19;
@@ -57,27 +57,44 @@ impl Belief {
     }
 
     /// Takes an estimated error into the state, and the covariance to the new attitude.
+    ///
+    /// Nothing on board shows which way north is: a wrong heading turns position, velocity and attitude alike, so its error goes with a
+    /// velocity across the one that is believed. When that changes, the covariance follows it (as errors of an invariant filter do,
+    /// Barrau and Bonnabel 2017). If it did not, a heading that is corrected by some degrees would seem to show in the wheels' speed.
     pub fn inject(&mut self, errors: &Errors) {
         let part = |row: usize| errors.fixed_rows::<3>(row).into_owned();
-        self.position += part(POSITION);
-        self.velocity += part(VELOCITY);
-        let turn = part(ATTITUDE);
+        let (turn, moved, faster) = (part(ATTITUDE), part(POSITION), part(VELOCITY));
+        let before = self.map_from_imu.to_rotation_matrix().into_inner();
+        let turn_in_map = before * turn;
+        self.position += moved;
+        // The velocity turns with the attitude, and keeps its length.
+        let turned_velocity = UnitQuaternion::new_normalize(quaternion_of(&turn_in_map)) * self.velocity;
+        self.velocity = turned_velocity + (faster - turn_in_map.cross(&self.velocity));
         self.map_from_imu = turned(&self.map_from_imu, &turn);
         self.gyro_bias += part(GYRO_BIAS);
         self.accel_bias += part(ACCEL_BIAS);
         self.wander += part(WANDER);
         self.scale += errors[SCALE];
+        let by_attitude = |change: Vector3<f64>| -change.cross_matrix() * before;
         // The error that is left counts from the new attitude (Solà 2017, eq. 287).
-        let half = (-0.5 * turn).cross_matrix();
-        let rows = self.covariance.fixed_rows::<3>(ATTITUDE).into_owned();
-        self.covariance
-            .fixed_rows_mut::<3>(ATTITUDE)
-            .copy_from(&(rows + half * rows));
-        let columns = self.covariance.fixed_columns::<3>(ATTITUDE).into_owned();
-        self.covariance
-            .fixed_columns_mut::<3>(ATTITUDE)
-            .copy_from(&(columns + columns * half.transpose()));
+        for (row, factor) in [
+            (POSITION, by_attitude(moved)),
+            (VELOCITY, by_attitude(faster)),
+            (ATTITUDE, (-0.5 * turn).cross_matrix()),
+        ] {
+            self.add_attitude(row, &factor);
+        }
         self.symmetrize();
+    }
+
+    /// Adds to three errors from `row` on what the error of the attitude makes of them.
+    fn add_attitude(&mut self, row: usize, factor: &Matrix3<f64>) {
+        let of_attitude = factor * self.covariance.fixed_rows::<3>(ATTITUDE);
+        let mut rows = self.covariance.fixed_rows_mut::<3>(row);
+        rows += of_attitude;
+        let of_attitude = self.covariance.fixed_columns::<3>(ATTITUDE) * factor.transpose();
+        let mut columns = self.covariance.fixed_columns_mut::<3>(row);
+        columns += of_attitude;
     }
 
     /// Removes what rounding adds to one half of the covariance and not to the other.

@@ -14,8 +14,8 @@ use crate::rules::Rules;
 
 /// The heading is good enough to begin with, rad.
 const HEADING: f64 = 0.1;
-/// And later, where a vehicle is slow: so long after the first fix, s, with so much, rad.
-const PATIENCE: (f64, f64) = (4.0, 0.2);
+/// And later, where a vehicle is slow: so long after the first fix, s, with so much, rad; with more it would be lost at once.
+const PATIENCE: (f64, f64) = (4.0, 0.17);
 /// Speed and heading of dead reckoning and GNSS may differ so much, as a share.
 const STRETCH: f64 = 0.3;
 /// Standard deviation of a velocity's components that nothing shows, m/s.
