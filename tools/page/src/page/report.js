@@ -168,7 +168,7 @@ function addedBy(of, run, beside) {
     el("p", { class: "muted" }, `${plural(gained.length, "object")} found in more sweeps than by ${than}, ${plural(harmed.length, "object")} in fewer.`),
     gained.length ? el("div", { class: "wide" }, table(heads, rows(gained.slice(0, FEW), (one) => one.seq))) : null,
     more(heads, gained.length > FEW && `${plural(gained.length - FEW, "object")} more`, rows(gained.slice(FEW, MOST_ADDED), (one) => one.seq)),
-    more(heads, harmed.length && `${plural(harmed.length, "object")} found in fewer sweeps`, rows(harmed.slice(0, MOST_ADDED), (one) => one.lost), !gained.length));
+    more(heads, harmed.length && `${plural(harmed.length, "object")} found in fewer sweeps`, rows(harmed.slice(0, MOST_ADDED), (one) => one.lost), !gained.length || !other.alone));
 }
 
 /** Objects that a run finds in more sweeps than the ego alone, or another run, in the scene of the player. */
