@@ -292,6 +292,15 @@ fn the_layout_that_ships_names_topics_that_there_are() {
         drawn.iter().all(|topic| topics.contains(*topic)),
         "{drawn:?} are not all in {topics:?}"
     );
+    // Without a field to colour by, viewers choose one, and a map of colours in place of the agent's own.
+    let settings = panels
+        .values()
+        .filter_map(|panel| panel["topics"].as_object())
+        .flatten();
+    for (topic, settings) in settings.filter(|(topic, _)| topic.ends_with("/points")) {
+        let colours = [&settings["colorMode"], &settings["colorField"]];
+        assert_eq!(colours, ["flat", "intensity"], "{topic}");
+    }
     assert_eq!(run.close(), Some(0));
 }
 

@@ -217,7 +217,7 @@ fn pages_are_listed_without_git_and_programs_of_another_tree_are_named() {
 fn a_bench_that_runs_graphs_looks_for_the_program_before_it_makes_a_log() {
     let tree = Tree::new("measure-bench", &[]);
     fs::remove_file(tree.at("bin/realo")).expect("it was there");
-    for bench in ["framework", "memory", "faults"] {
+    for bench in ["framework", "memory", "faults", "view", "report"] {
         let mut command = tree.command(&["bench", bench], &tree.0);
         let output = command.output().expect("it can be started");
         let said = text(&output.stderr);

@@ -184,6 +184,14 @@ fn a_port_that_is_taken_and_an_address_that_is_none_are_errors_before_the_run() 
     let words = text(&said.stderr);
     assert_eq!(said.status.code(), Some(2), "{words}");
     assert!(words.contains("IP:PORT") && words.contains("`somewhere`"), "{words}");
+    let both = free_port().to_string();
+    let said = realo(options("late_fusion", &out, &["--view", &both, "--foxglove", &both]));
+    let words = text(&said.stderr);
+    assert_eq!(said.status.code(), Some(1), "{words}");
+    assert!(
+        words.contains("expected two addresses") && words.contains(&both),
+        "{words}"
+    );
     assert!(!out.exists(), "nothing was run");
     let said = realo(options("late_fusion", &out, &["--view-exit"]));
     assert_eq!(said.status.code(), Some(2), "{}", text(&said.stderr));

@@ -57,6 +57,18 @@ pub enum GraphError {
         /// What does not fit, and what to do.
         reason: String,
     },
+    /// Nothing to run.
+    #[error(
+        "{}: the dataflow, nodes: expected one node or more, found {found}; a node is {{id: NAME, path: PROGRAM}} or \
+         {{id: NAME, module: FILE}}, and dataflows/late_fusion.yml is a whole graph",
+        file.display()
+    )]
+    Empty {
+        /// The graph.
+        file: PathBuf,
+        /// What is there instead.
+        found: &'static str,
+    },
     /// Two nodes of one name.
     #[error("{}: two nodes have the id `{id}`; give one another name", file.display())]
     Duplicate {

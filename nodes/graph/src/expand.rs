@@ -73,6 +73,15 @@ pub(super) fn as_dora(graph: &Graph, alone: bool) -> Result<FlatGraph, GraphErro
             file: graph.file.clone(),
         });
     }
+    if nodes.is_empty() {
+        return Err(GraphError::Empty {
+            file: graph.file.clone(),
+            found: match graph.nodes.is_empty() {
+                true => "an empty list",
+                false => "modules without nodes alone",
+            },
+        });
+    }
     let (mut stages, mut processes) = (BTreeSet::new(), BTreeSet::new());
     for node in &nodes {
         let (is_stage, is_process) = (node.part != Part::Host, !matches!(node.part, Part::In(_)));

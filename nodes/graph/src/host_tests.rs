@@ -788,3 +788,26 @@ fn what_is_wrong_with_a_hosted_graph_is_found() {
     let expected = "error: node `ego.nms`: expected a stage of realo, found the program";
     assert_found(&graph, &[expected]);
 }
+
+#[test]
+fn a_graph_without_nodes_is_refused() {
+    let module = ("modules/none.yml", "module: { name: none }\nnodes: []");
+    for (graph, found) in [
+        ("nodes: []", "found an empty list"),
+        (
+            "nodes: [{ id: m, module: modules/none.yml }]",
+            "found modules without nodes alone",
+        ),
+    ] {
+        let folder = tempfile::tempdir().unwrap();
+        write(folder.path(), &[("g.yml", graph), module]);
+        let error = load(folder.path()).unwrap_err();
+        for words in [
+            "g.yml: the dataflow, nodes: expected one node or more",
+            found,
+            "{id: NAME, path: PROGRAM}",
+        ] {
+            assert!(error.contains(words), "{error}");
+        }
+    }
+}

@@ -1,10 +1,15 @@
 //! The files of graphs and models that are given by their names.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::sync::{Mutex, PoisonError};
 
 use crate::program;
 use eyre::{Result, bail};
 use realo_operator::config::nearest_name;
+
+/// Graphs of which it was said which file their names stand for: once is enough.
+static SAID: Mutex<BTreeSet<PathBuf>> = Mutex::new(BTreeSet::new());
 
 /// The file of a graph: the path as it is, or, of a name without a folder, `NAME.yml` here, then that of the shipped
 /// graphs. Says which file a name stands for.
@@ -18,7 +23,13 @@ pub fn graph(path: &Path) -> Result<PathBuf> {
     let found = named(path, &folders(), GRAPHS);
     match found {
         Some(found) => {
-            eprintln!("{}: {} is {}", program::name(), path.display(), found.display());
+            let is_new = SAID
+                .lock()
+                .unwrap_or_else(PoisonError::into_inner)
+                .insert(found.clone());
+            if is_new {
+                eprintln!("{}: {} is {}", program::name(), path.display(), found.display());
+            }
             Ok(found)
         }
         None => bail!("{}", unknown(path, &folders(), GRAPHS)),

@@ -139,8 +139,12 @@ fn ranking(scored: &[Scored], iou: &str) -> String {
             let last = last.map_or(String::new(), |last| {
                 format!("; last is {} with {:.3}", last.name, last.mean)
             });
+            let classes = match same_logs {
+                true => better_on_classes(&order),
+                false => String::new(),
+            };
             format!(
-                "{} {}, with mAP {} at IoU {iou}: {:.3} more than {}, which has {}{last}. {}",
+                "{} {}, with mAP {} at IoU {iou}: {:.3} more than {}, which has {}{last}.{classes} {}",
                 first.name,
                 if same_logs { "is best" } else { "has the highest score" },
                 first.value(),
@@ -156,6 +160,41 @@ fn ranking(scored: &[Scored], iou: &str) -> String {
                 }
             )
         }
+    }
+}
+
+/// From here on a run is said to be better on a class than the best one.
+const BETTER: f64 = 0.01;
+
+/// Classes on which another run that fuses is better than the best; what fusing harms has words of its own.
+fn better_on_classes(order: &[&Scored]) -> String {
+    const MOST: usize = 3;
+    let (first, others) = (order[0], &order[1..]);
+    let mut said = Vec::new();
+    for (class, ap) in &first.ap {
+        let fused = others.iter().filter(|one| !is_alone(one.run));
+        let of = |one: &&Scored| {
+            let known = one.ap.iter().find(|(known, _)| known == class);
+            known.map(|(_, ap)| *ap)
+        };
+        let best = fused.filter_map(|one| Some((one.name, of(one)?)));
+        if let Some((name, most)) = best.max_by(|a, b| a.1.total_cmp(&b.1))
+            && most - ap >= BETTER
+        {
+            said.push(format!(
+                "{name} is better on {class} ({most:.3}, {} {ap:.3})",
+                first.name
+            ));
+        }
+    }
+    if said.len() > MOST {
+        let more = said.len() - MOST;
+        said.truncate(MOST);
+        said.push(format!("others on {more} more classes"));
+    }
+    match said.is_empty() {
+        true => String::new(),
+        false => format!(" But {}.", said.join(", ")),
     }
 }
 
@@ -429,6 +468,23 @@ pub(crate) mod tests {
             said[2],
             "No message for fusion crossed a link; all 40 scored sweeps got boxes."
         );
+    }
+
+    #[test]
+    fn who_is_better_on_a_class_than_the_best_is_named() {
+        let (attfuse, late, none) = (run(0.9, 0.7, true), run(0.7, 0.75, true), run(0.6, 0.9, false));
+        let said = |late: &Run| sentences(&[("none", &none), ("late", late), ("attfuse", &attfuse)])[0].clone();
+        assert!(
+            said(&late).contains("0.050 more than none, which has 0.750; last is late with 0.725. But late is better on pedestrian (0.750, attfuse 0.700). Intervals"),
+            "{}",
+            said(&late)
+        );
+        let level = said(&run(0.7, 0.709, true));
+        assert!(!level.contains("But"), "{level}");
+        let mut elsewhere = late.clone();
+        elsewhere.result.logs = vec!["elsewhere".into()];
+        let elsewhere = said(&elsewhere);
+        assert!(!elsewhere.contains("But"), "{elsewhere}");
     }
 
     #[test]

@@ -98,7 +98,7 @@ pub(super) fn demo_log() -> Result<PathBuf> {
 }
 
 /// Writes the first `seconds` of a log with `agents` agents: its own, then copies of its last one.
-fn clone_agents(from: &Path, to: &Path, agents: usize, seconds: f64) -> Result<()> {
+pub(super) fn clone_agents(from: &Path, to: &Path, agents: usize, seconds: f64) -> Result<()> {
     let log = Log::open(from)?;
     let known = &log.info().agents;
     let last = known.last().ok_or_else(|| eyre!("{}: no agents", from.display()))?;

@@ -109,7 +109,7 @@ fn median(values: &[f64]) -> f64 {
 }
 
 /// Memory of a process and all its descendants that belongs to them alone or proportionally, MB.
-fn resident_mb(root: u32) -> Result<f64> {
+pub(super) fn resident_mb(root: u32) -> Result<f64> {
     let mut children: BTreeMap<u32, Vec<u32>> = BTreeMap::new();
     for entry in fs::read_dir("/proc").wrap_err("/proc")?.flatten() {
         let Some(pid) = entry.file_name().to_str().and_then(|name| name.parse::<u32>().ok()) else {

@@ -10,9 +10,11 @@ mod paper;
 mod peer;
 pub(crate) mod radio;
 mod registration;
+mod report;
 mod simulate;
 mod train;
 mod transmission;
+mod view;
 
 use std::path::PathBuf;
 
@@ -31,7 +33,8 @@ pub struct Args {
     /// As JSON
     #[arg(long)]
     json: bool,
-    /// Log seconds that the replays take (framework: of each size; memory: in all; faults: in tens); of a case (radio)
+    /// Log seconds that the replays take (framework: of each size; memory: in all; view: of each run; faults: in tens); of a case (radio);
+    /// that a player plays (report)
     #[arg(long)]
     seconds: Option<f64>,
     /// Only the cases whose names have this in them (radio, faults)
@@ -75,12 +78,19 @@ enum Name {
     Faults,
     /// Growth of resident memory over a looped realtime replay
     Memory,
+    /// What `realo run --view` costs a run on dora, and how many pictures a second come; four agents, early fusion
+    View,
+    /// How long a report takes to be made and to open, and how many pictures a second its player draws in Chromium
+    Report,
 }
 
 impl Name {
     /// Whether it has the car's program run graphs.
     fn runs_graphs(self) -> bool {
-        matches!(self, Name::Framework | Name::Faults | Name::Memory)
+        matches!(
+            self,
+            Name::Framework | Name::Faults | Name::Memory | Name::View | Name::Report
+        )
     }
 
     /// What the Python that it is compared with needs.
@@ -127,6 +137,8 @@ pub fn main(args: &Args) -> Result<Outcome> {
             Ok(found.check())
         }
         Name::Memory => print(&memory::bench(args.seconds.unwrap_or(600.0), &progress)?, args.json),
+        Name::View => print(&view::bench(args.seconds.unwrap_or(20.0), &progress)?, args.json),
+        Name::Report => print(&report::bench(args.seconds.unwrap_or(5.0), &progress)?, args.json),
     }
 }
 

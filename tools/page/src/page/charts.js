@@ -17,6 +17,8 @@ const tickText = (value) => (Math.abs(value) >= 10000 ? `${value / 1000}k` : Str
 
 /** A drawing with a title, what it shows, and a frame. Without any value it says why there is none. */
 function figure(title, what, content, none, span) {
+  const label = content && content.getAttribute("aria-label");
+  if (label) content.setAttribute("aria-label", `${title}: ${label.trim()}`);
   return el("figure", { class: span ? "span" : null }, el("figcaption", {}, title, el("small", {}, what)),
     content || el("div", { class: "none" }, none));
 }
@@ -69,19 +71,28 @@ function fill(at, share = 100) {
   return turn === null ? color : `repeating-linear-gradient(${turn}deg, ${color} 0 5px, var(--card) 5px 8px)`;
 }
 
-/** Bars that are made of parts, one for each row: `{ name, parts: [[what, value, color, mark] …] }`; a mark stands on its part. */
+/** Parts of a bar that are written out below it, at most. */
+const MOST_WORDS = 5;
+
+/**
+ * Bars that are made of parts, one for each row: `{ name, parts: [[what, value, color, mark] …] }`; a mark stands on its part.
+ * A few parts are written out, so that nobody has to point at them.
+ */
 function stacks(rows, unit, share) {
   const drawn = rows.filter((row) => row.parts.some(([, value]) => value > 0));
   if (!drawn.length) return null;
   const totals = drawn.map((row) => sum(row.parts.map(([, value]) => value)));
   const most = Math.max(...totals);
   const number = (value) => (value < 100 && value % 1 ? value.toFixed(1) : count(value));
-  return el("div", { class: "stacks" }, drawn.map((row, at) => [
-    el("div", { class: "row" }, el("b", {}, row.name), el("span", {}, `${number(totals[at])} ${unit}`)),
-    el("div", { class: "track" }, row.parts.filter(([, value]) => value > 0).map(([what, value, color, mark]) => {
+  const percent = (value, of) => (share ? ` (${(100 * value / of).toFixed(1)} %)` : "");
+  const inWords = (parts, of) => parts.map(([what, value]) => `${what} ${number(value)}${percent(value, of)}`).join(" · ");
+  return el("div", { class: "stacks" }, drawn.map((row, at) => [row, row.parts.filter(([, value]) => value > 0), totals[at]]).map(([row, parts, total]) => [
+    el("div", { class: "row" }, el("b", {}, row.name), el("span", {}, `${number(total)} ${unit}`)),
+    el("div", { class: "track" }, parts.map(([what, value, color, mark]) => {
       const words = `${what}: ${number(value)} ${unit}`;
-      return el("i", { title: words, "aria-label": words, role: "img", style: `width:${100 * value / (share ? totals[at] : most)}%;background:${color}` }, mark ? el("b", {}, mark) : null);
+      return el("i", { title: words, "aria-label": words, role: "img", style: `width:${100 * value / (share ? total : most)}%;background:${color}` }, mark ? el("b", {}, mark) : null);
     })),
+    parts.length > 1 && parts.length <= MOST_WORDS ? el("small", { class: "muted" }, inWords(parts, total)) : null,
   ]));
 }
 

@@ -96,59 +96,98 @@ function scores() {
   group("Sweeps");
   add("scored", (run) => run.result.frames.key, 0, 0);
   add("scored, without boxes", (run) => run.result.frames.key_skipped, 0, 0);
-  byId("table").replaceChildren(el("table", {}, el("thead", {}, el("tr", {}, el("th", {}, ""), DOC.runs.map((run, at) => el("th", { scope: "col" }, swatch(runColor(at)), run.name)))), el("tbody", {}, rows)));
+  byId("table").replaceChildren(el("table", {}, el("thead", {}, el("tr", {}, el("th", {}, ""), DOC.runs.map((run, at) => el("th", { scope: "col" }, swatch(runColor(at)), run.name)))), el("tbody", {}, rows)),
+    DOC.runs.every((run) => !run.alone) ? el("p", { class: "muted hint" }, "No run here is of the ego alone, so there is no margin: run the graph no_fusion over the same log, and give its folder too.") : "");
 }
 
 /** Objects of a table at first, and in all. */
 const FEW = 8, MOST_ADDED = 200;
 
 /** A table that opens with a click. */
-const more = (heads, words, rows) => (words ? el("details", {}, el("summary", {}, words), el("div", { class: "wide" }, table(heads, rows))) : null);
+const more = (heads, words, rows, open = false) => (words ? el("details", { open }, el("summary", {}, words), el("div", { class: "wide" }, table(heads, rows))) : null);
 
-/** Objects that a run with cooperation finds more often than the ego alone, in the scene of the player. */
+/** The run that objects are compared with; `null`: each run with the ego alone of its own logs. */
+let comparedWith = null;
+
+/** For each run of a scene the run beside it with which its objects are compared, `-1` where there is none. */
+function besides(of) {
+  const place = (run) => of.runs.findIndex((one) => one.run === run);
+  const own = of.runs.map(({ run }) => (known(DOC.runs[run].against) ? place(DOC.runs[run].against) : -1));
+  // Without the ego alone, runs that fuse are compared with the second of them, as the player shows it.
+  const second = of.runs.length > 1 && own.every((one) => one < 0) ? 1 : -1;
+  const other = known(comparedWith) && place(comparedWith) >= 0 ? place(comparedWith) : second;
+  return other < 0 ? own : of.runs.map((_, at) => (at === other ? -1 : other));
+}
+
+/** What two runs of a scene found of each object, over all its sweeps. */
+function tracksOf(of, run, beside) {
+  const tracks = new Map();
+  for (const seq of timeline()) {
+    const [other, own] = [judged(of, beside, seq), judged(of, run, seq)];
+    if (!other || !own || !other.known || !own.known) continue;
+    const before = new Map(other.objects.map((object) => [object.track, object]));
+    for (const object of own.objects) {
+      const then = before.get(object.track);
+      if (!object.counts || object.track < 0 || !then || !chosen(object)) continue;
+      const track = tracks.get(object.track) || { track: object.track, klass: object.klass, sweeps: 0, other: 0, own: 0, points: [], seq: null, lost: null };
+      track.sweeps += 1;
+      track.other += then.foundBy ? 1 : 0;
+      track.own += object.foundBy ? 1 : 0;
+      if (object.points.length) track.points.push(object.points);
+      if (object.foundBy && !then.foundBy && track.seq === null) track.seq = seq;
+      if (!object.foundBy && then.foundBy && track.lost === null) track.lost = seq;
+      tracks.set(object.track, track);
+    }
+  }
+  return [...tracks.values()].map((track) => ({ ...track, gain: track.own - track.other }));
+}
+
+/** The median of an agent's points on an object. */
+const pointsOfAgent = ({ points }, agent) => quantile(points.map((all) => all[agent] || 0), 0.5);
+
+/** Which of the others has most points on an object, and how many. */
+function bestOther(of, track) {
+  if (!track.points.length) return NONE;
+  const others = of.agents.map((agent, at) => [agent.name, pointsOfAgent(track, at)]).slice(1).sort((a, b) => b[1] - a[1]);
+  return others.length && others[0][1] > 0 ? `${others[0][0]} ${count(others[0][1])}` : NONE;
+}
+
+/** The objects that a run finds in more sweeps, and in fewer, than another one. */
+function addedBy(of, run, beside) {
+  const [own, other] = [run, beside].map((at) => DOC.runs[of.runs[at].run]);
+  const than = other.alone ? "the ego alone" : other.name;
+  const all = tracksOf(of, run, beside);
+  const rows = (list, at) => list.map((one) => [
+    el("button", { type: "button", title: "Show it in the player", onclick: () => show(at(one), { kind: "object", run, seq: at(one), index: 0, track: one.track }) }, `${one.klass} ${trackName(of, one.track)}`),
+    count(one.sweeps), count(one.other), count(one.own), one.points.length ? count(pointsOfAgent(one, 0)) : NONE, bestOther(of, one)]);
+  const gained = all.filter((one) => one.gain > 0 && one.seq !== null).sort((a, b) => b.gain - a.gain);
+  const harmed = all.filter((one) => one.gain < 0 && one.lost !== null).sort((a, b) => a.gain - b.gain);
+  const heads = ["object", "sweeps", `found by ${than}`, `found by ${own.name}`, "own points, median", "most points of others, median"];
+  return el("div", { style: "margin-bottom:16px" },
+    el("h3", {}, swatch(runColor(of.runs[run].run)), own.name),
+    el("p", { class: "muted" }, `${plural(gained.length, "object")} found in more sweeps than by ${than}, ${plural(harmed.length, "object")} in fewer.`),
+    gained.length ? el("div", { class: "wide" }, table(heads, rows(gained.slice(0, FEW), (one) => one.seq))) : null,
+    more(heads, gained.length > FEW && `${plural(gained.length - FEW, "object")} more`, rows(gained.slice(FEW, MOST_ADDED), (one) => one.seq)),
+    more(heads, harmed.length && `${plural(harmed.length, "object")} found in fewer sweeps`, rows(harmed.slice(0, MOST_ADDED), (one) => one.lost), !gained.length || !other.alone));
+}
+
+/** Objects that a run finds in more sweeps than the ego alone, or another run, in the scene of the player. */
 function addedObjects() {
   const section = byId("added");
   const of = DOC.scenes.length ? scene() : null;
-  const beside = (run) => of.runs.findIndex((one) => known(DOC.runs[of.runs[run].run].against) && one.run === DOC.runs[of.runs[run].run].against);
-  const fused = of ? of.runs.map((_, at) => at).filter((at) => beside(at) >= 0) : [];
-  section.hidden = !fused.length;
+  const beside = of ? besides(of) : [];
+  const compared = beside.map((_, at) => at).filter((at) => beside[at] >= 0);
+  section.hidden = !compared.length;
   if (section.hidden) return;
-  const parts = fused.slice(0, 3).map((run) => {
-    const alone = beside(run);
-    const tracks = new Map();
-    for (const seq of timeline()) {
-      const [own, both] = [judged(of, alone, seq), judged(of, run, seq)];
-      if (!own || !both || !own.known || !both.known) continue;
-      const before = new Map(own.objects.map((object) => [object.track, object]));
-      for (const object of both.objects) {
-        const other = before.get(object.track);
-        if (!object.counts || object.track < 0 || !other || !chosen(object)) continue;
-        const track = tracks.get(object.track) || { klass: object.klass, sweeps: 0, own: 0, both: 0, points: [], seq: null, lost: null };
-        track.sweeps += 1;
-        track.own += other.foundBy ? 1 : 0;
-        track.both += object.foundBy ? 1 : 0;
-        if (known(object.own)) track.points.push(object.own);
-        if (object.foundBy && !other.foundBy && track.seq === null) track.seq = seq;
-        if (!object.foundBy && other.foundBy && track.lost === null) track.lost = seq;
-        tracks.set(object.track, track);
-      }
-    }
-    const all = [...tracks].map(([track, facts]) => ({ track, ...facts, gain: facts.both - facts.own }));
-    const rows = (list, at) => list.map((one) => [
-      el("button", { type: "button", title: "Show it in the player", onclick: () => show(at(one), { kind: "object", run, seq: at(one), index: 0, track: one.track }) }, `${one.klass} ${trackName(of, one.track)}`),
-      count(one.sweeps), count(one.own), count(one.both), one.points.length ? count(quantile(one.points, 0.5)) : NONE]);
-    const gained = all.filter((one) => one.gain > 0 && one.seq !== null).sort((a, b) => b.gain - a.gain);
-    const harmed = all.filter((one) => one.gain < 0 && one.lost !== null).sort((a, b) => a.gain - b.gain);
-    const name = DOC.runs[of.runs[run].run].name;
-    const heads = ["object", "sweeps", "found by the ego alone", `found by ${name}`, "own points, median"];
-    return el("div", { style: "margin-bottom:16px" },
-      el("h3", {}, swatch(runColor(of.runs[run].run)), name),
-      el("p", { class: "muted" }, `${plural(gained.length, "object")} found in more sweeps than by the ego alone, ${plural(harmed.length, "object")} in fewer.`),
-      gained.length ? el("div", { class: "wide" }, table(heads, rows(gained.slice(0, FEW), (one) => one.seq))) : null,
-      more(heads, gained.length > FEW && `${plural(gained.length - FEW, "object")} more`, rows(gained.slice(FEW, MOST_ADDED), (one) => one.seq)),
-      more(heads, harmed.length && `${plural(harmed.length, "object")} found in fewer sweeps`, rows(harmed.slice(0, MOST_ADDED), (one) => one.lost)));
-  });
-  section.replaceChildren(el("h2", {}, "What cooperation added"), el("p", { class: "muted" }, `${sweepsInWords(of)} of ${of.log}, ego ${of.ego}, at IoU ${of.ious[state.iou]}${scoreWords()}, object by object${filterWords()}; a click on one shows it.${fused.length > 3 ? ` The first 3 of ${fused.length} runs with cooperation.` : ""} A table has ${MOST_ADDED} objects at most.`), ...parts);
+  const withAlone = compared.every((at) => DOC.runs[of.runs[beside[at]].run].alone);
+  const anyAlone = of.runs.some(({ run }) => known(DOC.runs[run].against));
+  const options = [...(anyAlone ? [[null, "the ego alone"]] : []), ...of.runs.filter(({ run }) => !DOC.runs[run].alone).map(({ run }) => [run, DOC.runs[run].name])];
+  const now = anyAlone && withAlone ? null : of.runs[beside[compared[0]]].run;
+  const limits = `${compared.length > 3 ? ` The first 3 of ${compared.length} runs that are compared.` : ""} A table has ${MOST_ADDED} objects at most.`;
+  section.replaceChildren(el("h2", {}, withAlone ? "What cooperation added" : `What differs from ${DOC.runs[now].name}`),
+    options.length > 1 ? el("div", { class: "tools" }, choice("Compared with", options, now, (run) => { comparedWith = run; addedObjects(); navigation(); })) : "",
+    el("p", { class: "muted" }, `${sweepsInWords(of)} of ${of.log}, ego ${of.ego}, at IoU ${of.ious[state.iou]}${scoreWords()}, object by object${filterWords()}; a click on one shows it.${limits}`),
+    ...compared.slice(0, 3).map((run) => addedBy(of, run, beside[run])));
 }
 
 // --- What was run -------------------------------------------------------------------------------------------------
@@ -240,7 +279,7 @@ function charts() {
 }
 
 function navigation() {
-  const parts = [["player", "Player"], ["added", "Added"], ["scores", "Scores"], ["charts", "Where and when"], ["messages", "Messages"], ["setup", "Settings"]];
+  const parts = [["player", "Player"], ["added", "Objects"], ["scores", "Scores"], ["charts", "Where and when"], ["messages", "Messages"], ["setup", "Settings"]];
   byId("nav").replaceChildren(...parts.filter(([id]) => !byId(id).hidden).map(([id, name]) =>
     el("a", { href: "#" + id, onclick: (event) => { event.preventDefault(); byId(id).scrollIntoView(); } }, name)));
   document.querySelector(".brand").addEventListener("click", (event) => { event.preventDefault(); scrollTo(0, 0); });

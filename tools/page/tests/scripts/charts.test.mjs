@@ -103,6 +103,38 @@ test("objects that cooperation added are named, those it harmed too", () => {
   assert.equal(open({ data: report({ runs: [run("late")], scenes: [scene({ runs: [scene().runs[0]] })] }) }).byId("added").hidden, true, "without the ego alone there is nothing to compare");
 });
 
+test("objects of two runs that fuse are compared too, and whoever has points on them is named", () => {
+  const of = scene();
+  const rows = (page) => page.byId("added").all("tr").map((one) => one.nodes.map((cell) => cell.textContent));
+  // Without the ego alone the first is compared with the second, and the page says that there is no margin.
+  const two = { runs: [run("cut"), run("whole")], scenes: [scene({ runs: [{ ...of.runs[1], run: 0 }, { ...of.runs[0], run: 1 }] })] };
+  const cut = open({ data: report(two) });
+  assert.equal(cut.byId("added").hidden, false);
+  assert.ok(cut.byId("added").textContent.startsWith("What differs from whole"), cut.byId("added").textContent);
+  assert.deepEqual(rows(cut), [["object", "sweeps", "found by whole", "found by cut", "own points, median", "most points of others, median"], ["pedestrian 8", "10", "7", "0", "0", "rsu1 12"]]);
+  assert.ok("open" in cut.byId("added").all("details")[0].attributes, "what was lost is open where nothing was gained");
+  assert.ok(cut.byId("table").textContent.includes("No run here is of the ego alone, so there is no margin"), cut.byId("table").textContent);
+  // With the ego alone that is what is asked first; another run can be chosen.
+  const runs = [run("attfuse", { against: 2 }), run("late", { against: 2 }), run("none", { alone: true })];
+  const three = open({ data: report({ runs, scenes: [scene({ runs: [{ ...of.runs[1], run: 0 }, { ...of.runs[0], run: 1 }, { ...of.runs[1], run: 2 }] })] }) });
+  assert.ok(three.byId("added").textContent.startsWith("What cooperation added") && !three.byId("table").textContent.includes("No run here"));
+  const [choice] = three.byId("added").all("select");
+  assert.deepEqual(choice.all("option").map((option) => option.textContent), ["the ego alone", "attfuse", "late"]);
+  Object.defineProperty(choice, "selectedIndex", { value: 2 });
+  choice.dispatch("change");
+  assert.ok(three.byId("added").textContent.startsWith("What differs from late"), three.byId("added").textContent);
+  assert.deepEqual(rows(three).filter(([name]) => name === "pedestrian 8").map((row) => row.slice(1, 4)), [["10", "7", "0"], ["10", "7", "0"]], "attfuse and none");
+});
+
+test("a bar of a few parts is written out, and a chart says what it is of", () => {
+  const few = page.value('stacks([{ name: "late", parts: [["found", 3, "x"], ["missed", 1, "y"], ["false", 0, "z"]] }], "objects", true)');
+  assert.deepEqual(few.all("small").map((words) => words.textContent), ["found 3 (75.0 %) · missed 1 (25.0 %)"]);
+  const many = page.value('stacks([{ name: "late", parts: Array.from({ length: 6 }, (_, at) => [`part ${at}`, 2, "x"]) }], "ms", false)');
+  assert.deepEqual(many.all("small"), []);
+  const [recall] = page.byId("grid").all("svg").map((drawing) => drawing.getAttribute("aria-label")).filter((label) => label.includes("own points") || label.includes("How far"));
+  assert.ok(/^(Recall by own points|How far boxes are off): /.test(recall), recall);
+});
+
 test("why objects were missed, and how far boxes are off, is counted", () => {
   const of = scene();
   // Half a metre off, which is enough at IoU 0.3 alone; and one of a low score.

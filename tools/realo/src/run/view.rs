@@ -69,6 +69,14 @@ impl ViewArgs {
     /// # Errors
     /// An address that cannot be had.
     pub fn start(&self) -> Result<Option<View>> {
+        if let (Some(view), Some(foxglove)) = (self.view, self.foxglove)
+            && view == foxglove
+            && view.port() != 0
+        {
+            bail!(
+                "--view and --foxglove: expected two addresses, found {view} for both; give one of them another port"
+            );
+        }
         let foxglove = self.foxglove.map(start_foxglove).transpose()?;
         let page = self.view.map(start_page).transpose()?;
         Ok((page.is_some() || foxglove.is_some()).then(|| View {
