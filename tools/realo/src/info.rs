@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use eyre::Result;
 use realo_cli::Outcome;
-use realo_logs::{Described, Log};
+use realo_logs::{Described, Description, Log, Stream};
 use realo_player::Coop;
 use realo_results::scoring::{Collector, Protocol};
 use realo_results::{Run, Settings};
@@ -41,6 +41,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         let mut described = realo_logs::describe_any(path)?;
         let dropped = dropped_classes(&described);
         if let Described::Log(log) = &mut described {
+            log.problems.extend(unreadable(log));
             // What is wrong with others is known already, and may keep them from being played.
             if log.problems.is_empty() && log.truncated.is_none() {
                 log.problems = faults_of_runs(path)?;
@@ -57,6 +58,28 @@ pub fn main(args: &Args) -> Result<Outcome> {
         }
     }
     Ok(outcome)
+}
+
+/// One line for all agents whose sweeps cannot be read from the first on; `sweeps` of the description has why.
+fn unreadable(log: &Description) -> Option<String> {
+    let agents = log.sweeps.iter().filter(|(_, sweeps)| sweeps.problem.is_some());
+    let agents: Vec<&String> = agents.map(|(agent, _)| agent).collect();
+    let topics = agents
+        .iter()
+        .filter_map(|agent| log.topics.get(&Stream::Points.topic(agent)));
+    let sweeps: u64 = topics.map(|topic| topic.channel.messages).sum();
+    let first = log.sweeps.get(*agents.first()?)?.problem.as_ref()?;
+    let names: Vec<String> = agents.iter().map(|agent| format!("`{agent}`")).collect();
+    Some(match agents.len() {
+        1 => format!(
+            "sweeps of {} cannot be read ({sweeps} of them): {first}",
+            names.concat()
+        ),
+        count => format!(
+            "sweeps of {count} agents cannot be read ({sweeps} of {}), of the first because: {first}",
+            names.join(", ")
+        ),
+    })
 }
 
 /// A description, with problems at its head, what a protocol drops and the verdict at its end.
