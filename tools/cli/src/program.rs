@@ -149,7 +149,9 @@ fn said_of_kinds(error: &clap::Error, own: &clap::Command, words: &[String]) -> 
         return None;
     }
     let (own, path) = (own.get_name(), path.join(" "));
-    let nearest = nearest_name(wrong, names.iter().copied());
+    // Any short name is like any other by its length alone.
+    let begins_alike = |near: &String| near.chars().next() == wrong.chars().next();
+    let nearest = nearest_name(wrong, names.iter().copied()).filter(begins_alike);
     let nearest = nearest.map_or(String::new(), |nearest| format!("; did you mean `{nearest}`?"));
     Some(format!(
         "{own}: {path}: expected one of {}, found `{}`{nearest}\n`{} {path} --help` says what each is",
@@ -286,8 +288,10 @@ mod tests {
             near.starts_with(expected) && near.ends_with(" export --help` says what each is"),
             "{near}"
         );
-        let far = said(&["realo", "export", "nuscenes", "a.mcap"]).unwrap();
-        assert!(far.contains("found `nuscenes`\n"), "{far}");
+        for far in ["nuscenes", "vitti"] {
+            let said = said(&["realo", "export", far, "a.mcap"]).unwrap();
+            assert!(said.contains(&format!("found `{far}`\n")), "{said}");
+        }
         assert_eq!(said(&["realo", "nothing"]), None);
         assert_eq!(said(&["realo", "export", "kitti", "--nothing"]), None);
     }

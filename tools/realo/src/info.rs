@@ -172,8 +172,54 @@ fn dropped_classes(described: &Described) -> Vec<Dropped> {
 
 #[cfg(test)]
 mod tests {
-    use realo_logs::MAX_GAP;
+    use std::fs::File;
+
+    use realo_logs::{ChunkGroup, MAX_GAP, McapWriter, Schema, describe};
     use realo_stages::SyncSettings;
+
+    use super::*;
+
+    #[test]
+    fn sweeps_of_all_agents_that_cannot_be_read_are_one_line_with_their_count() {
+        let dir = tempfile::tempdir().unwrap();
+        let said = |agents: &[&str], broken: &[&str]| {
+            let path = dir.path().join(format!("{}.mcap", broken.len()));
+            let names: Vec<String> = agents
+                .iter()
+                .map(|name| format!(r#"{{"name":"{name}","kind":"vehicle"}}"#))
+                .collect();
+            let entries = [
+                ("format", "1".to_string()),
+                ("program", "x".into()),
+                ("source", "x".into()),
+                ("agents", format!("[{}]", names.join(","))),
+                ("map_frame", "map".into()),
+                ("protocol", "default".into()),
+                ("key_frames", "all".into()),
+            ];
+            let metadata: BTreeMap<String, String> = entries.map(|(key, value)| (key.to_string(), value)).into();
+            let mut mcap = McapWriter::new(File::create(&path).unwrap(), "x", "realo", &metadata).unwrap();
+            for name in broken {
+                let topic = Stream::Points.topic(name);
+                let channel = mcap.channel(&topic, Schema::PointCloud2, ChunkGroup::of(&Schema::PointCloud2.name()));
+                for step in 0..3 {
+                    let at = 1_700_000_000_000_000_000 + step * 100_000_000;
+                    mcap.write(channel, at, at, |out| out.u32(7)).unwrap();
+                }
+            }
+            mcap.finish().unwrap();
+            unreadable(&describe(&path).unwrap())
+        };
+        assert_eq!(said(&["cav1", "rsu1"], &[]), None);
+        let one = said(&["cav1", "rsu1"], &["rsu1"]).unwrap();
+        assert!(
+            one.starts_with("sweeps of `rsu1` cannot be read (3 of them): "),
+            "{one}"
+        );
+        let both = said(&["cav1", "rsu1"], &["cav1", "rsu1"]).unwrap();
+        let words = "sweeps of 2 agents cannot be read (6 of `cav1`, `rsu1`), of the first because: ";
+        assert!(both.starts_with(words), "{both}");
+    }
 
     #[test]
     fn info_warns_of_the_gaps_that_sync_does_not_bridge() {
