@@ -42,7 +42,16 @@ def run(operator):
     except Exception as error:  # noqa: BLE001: whatever it is, the run must hear of it
         if not isinstance(error, (ValueError, RuntimeError)):
             traceback.print_exc()
-        sys.exit(f"{operator.NAME}: {error}")
+        sys.exit(f"{operator.NAME}: {_told(error)}")
+
+
+def _told(error):
+    """An error in a line: what it says, and unless it says so by itself, what it is and where it was raised."""
+    if isinstance(error, (ValueError, RuntimeError)) and str(error):
+        return str(error)
+    said = f"{type(error).__name__}: {error}" if str(error) else type(error).__name__
+    frames = traceback.extract_tb(error.__traceback__)
+    return f"{said} ({os.path.basename(frames[-1].filename)}, line {frames[-1].lineno})" if frames else said
 
 
 def serve(stage, calls, replies, shares):
@@ -65,7 +74,7 @@ def _answer(stage, call):
         else:
             stage.on_end(out)
     except Exception as failure:  # noqa: BLE001: an error belongs to one message, the run goes on
-        error = str(failure) or type(failure).__name__
+        error = _told(failure)
         if not isinstance(failure, ValueError):
             traceback.print_exc()
     return {

@@ -107,6 +107,26 @@ class TestPipe(unittest.TestCase):
             self.assertEqual(bad.column("error")[0].as_py(), "no luck")
             self.assertEqual(end.column("ports")[0].as_py(), [])
 
+    def test_errors_that_do_not_explain_themselves_say_what_and_where(self):
+        def told(raise_):
+            try:
+                raise_()
+            except Exception as error:  # noqa: BLE001: any error
+                return pipe._told(error)
+
+        def key():
+            {}["velocity"]
+
+        def silent():
+            assert False
+
+        def plain():
+            raise ValueError("expected boxes, found none")
+
+        self.assertRegex(told(key), r"^KeyError: 'velocity' \(test_operator\.py, line \d+\)$")
+        self.assertRegex(told(silent), r"^AssertionError \(test_operator\.py, line \d+\)$")
+        self.assertEqual(told(plain), "expected boxes, found none")
+
     @unittest.skipUnless(hasattr(os, "memfd_create"), "needs files in memory")
     def test_a_file_is_written_again_only_when_all_of_its_frame_is_gone(self):
         lender, borrower = pipe.Memory(), pipe.Memory()

@@ -181,7 +181,7 @@ struct Looked {
 fn look(log: &Log, agent: &str, stream: Stream, classes: &mut Classes) -> Result<Looked, LogError> {
     let mut reader = log.read_all(&[(agent, stream)])?;
     let (mut times, mut apart) = (Times::new(), Vec::new());
-    let mut first_is_whole = None;
+    let (mut first_is_whole, mut unreadable) = (None, Unreadable::default());
     let mut next = || -> Result<Option<(Entry, Boxes)>, LogError> {
         let Some(entry) = reader.next()? else { return Ok(None) };
         let boxes = match stream {
@@ -189,7 +189,7 @@ fn look(log: &Log, agent: &str, stream: Stream, classes: &mut Classes) -> Result
                 // Why the first cannot be read is said with how sweeps are read; the others are like it.
                 match first_is_whole {
                     None => first_is_whole = Some(entry.look_at_cloud().is_ok()),
-                    Some(true) => entry.look_at_cloud()?,
+                    Some(true) => unreadable.take(entry.look_at_cloud())?,
                     Some(false) => {}
                 }
                 Boxes::default()
@@ -201,7 +201,7 @@ fn look(log: &Log, agent: &str, stream: Stream, classes: &mut Classes) -> Result
     };
     let topic = stream.topic(agent);
     let mut problems = Vec::new();
-    let is_read = loop {
+    let is_whole = loop {
         match next() {
             Ok(Some((entry, boxes))) => {
                 times.push([entry.stamp(), entry.ready()]);
@@ -229,10 +229,47 @@ fn look(log: &Log, agent: &str, stream: Stream, classes: &mut Classes) -> Result
             Err(error) => return Err(error),
         }
     };
+    problems.extend(unreadable.words(times.len()));
     if let Some(first) = apart.first() {
         let which = format!("{} of {} messages", apart.len(), times.len());
         problems.push(two_values(&topic, &which, *first));
     }
-    let times = is_read.then_some(times);
+    let times = (is_whole && unreadable.count == 0).then_some(times);
     Ok(Looked { times, problems })
+}
+
+/// Sweeps of an agent that cannot be read.
+#[derive(Default)]
+struct Unreadable {
+    count: usize,
+    /// Topic, log time and reason of the first.
+    first: Option<(String, Nanos, String)>,
+}
+
+impl Unreadable {
+    /// Counts a message that is not what it should be; other errors are those of the log.
+    fn take(&mut self, looked: Result<(), LogError>) -> Result<(), LogError> {
+        match looked {
+            Err(LogError::Content {
+                topic,
+                log_time,
+                reason,
+            }) => {
+                self.count += 1;
+                self.first.get_or_insert((topic, log_time, reason));
+                Ok(())
+            }
+            other => other,
+        }
+    }
+
+    /// One line for all of them.
+    fn words(&self, all: usize) -> Option<String> {
+        let (topic, log_time, reason) = self.first.as_ref()?;
+        let at = to_seconds(*log_time);
+        Some(match self.count {
+            1 => format!("{topic} at {at:.3} s: {reason}"),
+            count => format!("{topic}: {count} of {all} sweeps cannot be read, the first at {at:.3} s: {reason}"),
+        })
+    }
 }

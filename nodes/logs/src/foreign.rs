@@ -4,8 +4,8 @@ use std::fs::{self, File};
 use std::io::{self, Read, Seek, SeekFrom};
 use std::path::Path;
 
-use crate::McapFile;
 use crate::info::LOG_RECORD;
+use crate::{McapFile, shell};
 
 /// Where the way from other data to a log is described.
 pub(crate) const GUIDE: &str = "docs/reference/log-format.md says what a log holds, python/realo_log.py writes one, `realo-lab import` reads data sets, `realo-lab simulate` makes one up";
@@ -15,13 +15,16 @@ const SHOWN: usize = 12;
 
 /// Says what starts with these bytes instead of being an MCAP file.
 pub(crate) fn not_mcap(path: &Path, head: &[u8]) -> String {
-    let name = path.display();
+    let name = shell::word(path);
     let unpack = |program: &str| format!("unpack it first (`{program} {name}`)");
     let known: [(&[u8], &str, String); 9] = [
         (
             b"version https://git-lfs",
             "it is a pointer of git-LFS, not the file itself",
-            format!("fetch the file: `git lfs pull --include {}`", file_name(path)),
+            format!(
+                "fetch the file: `git lfs pull --include {}`",
+                shell::word(file_name(path))
+            ),
         ),
         (
             b"\x28\xb5\x2f\xfd",
@@ -54,7 +57,7 @@ pub(crate) fn not_mcap(path: &Path, head: &[u8]) -> String {
 pub(crate) fn imported(path: &Path) -> String {
     format!(
         "`realo-lab import bag {} -o LOG` makes a log of it; topics of other types: {GUIDE}",
-        path.display()
+        shell::word(path)
     )
 }
 
@@ -81,7 +84,7 @@ pub(crate) fn folder(path: &Path) -> String {
         (None, true) => {
             return format!(
                 "it is a folder; expected an MCAP file. If it is a data set, `realo-lab import auto {}` says which, and how it becomes a log",
-                path.display()
+                shell::word(path)
             );
         }
         (None, false) => format!("it is a folder (files: {})", files.join(", ")),

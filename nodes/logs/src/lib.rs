@@ -66,6 +66,7 @@ mod records;
 mod repeats;
 pub mod scene;
 mod schema;
+pub mod shell;
 mod stamps;
 mod sweeps;
 mod times;

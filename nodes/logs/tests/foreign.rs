@@ -190,6 +190,27 @@ fn sweeps_of_an_unknown_frame_are_refused_with_what_to_do() {
 }
 
 #[test]
+fn sweeps_that_cannot_be_read_are_one_problem_with_their_count() {
+    let made = made(TWO, |writer| {
+        transform(
+            writer,
+            "/tf_static",
+            START,
+            ["map", "alice/body"],
+            &Isometry3::identity(),
+        );
+        for (k, frame) in ["alice/body", "lidar", "alice/body", "other"].into_iter().enumerate() {
+            one_sweep(writer, "alice", START + k as Nanos * 100 * MS, frame, &[]);
+        }
+    });
+    let shown = shown(&made.path);
+    let line =
+        "PROBLEM: /alice/points: 2 of 4 sweeps cannot be read, the first at 1700000000.100 s: its frame is `lidar`";
+    assert_eq!(shown.matches(line).count(), 1, "{shown}");
+    assert_eq!(shown.matches("its frame is").count(), 1, "{shown}");
+}
+
+#[test]
 fn times_of_ouster_and_intensities_up_to_one_are_read_and_said() {
     let made = made(TWO, |writer| {
         for (k, v) in [0.0f32, 0.25, 1.0].into_iter().enumerate() {

@@ -27,8 +27,8 @@ pub enum PlayerError {
     Offline,
     /// No file.
     #[error(
-        "there is no log `{path}`; make one with `realo-lab simulate --scenario intersection --seed 1 --seconds 10 -o {path}`",
-        path = .0.display()
+        "there is no log `{}`; make one with `realo-lab simulate --scenario intersection --seed 1 --seconds 10 -o {}`",
+        .0.display(), realo_logs::shell::word(.0)
     )]
     NoLog(PathBuf),
     /// Nothing in the file.

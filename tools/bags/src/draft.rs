@@ -9,6 +9,7 @@ use realo_logs::AgentKind;
 use crate::map_file::{AgentMap, Height, MapFile, PoseSource, StampClock, quoted};
 use crate::messages::Kind;
 use crate::packets::UDP;
+use crate::recordings::{Recording, recordings};
 use crate::survey::{Survey, TopicSurvey, printable};
 
 /// A map file with why it says what it says.
@@ -19,10 +20,13 @@ pub struct Draft {
     why: BTreeMap<(String, &'static str), String>,
     /// Why the world's frame is what it is.
     world: String,
+    /// Bags of which no agent takes anything.
+    unused: Vec<PathBuf>,
 }
 
 /// Clouds that belong together.
 struct Group<'a> {
+    recording: &'a Recording<'a>,
     survey: &'a Survey,
     space: String,
     base: String,
@@ -35,7 +39,8 @@ impl Draft {
     /// # Errors
     /// No clouds.
     pub fn of(surveys: &[Survey]) -> Result<Self, String> {
-        let groups: Vec<Group> = surveys.iter().flat_map(groups).collect();
+        let (recordings, unused) = recordings(surveys);
+        let groups: Vec<Group> = recordings.iter().flat_map(groups).collect();
         if groups.is_empty() {
             let kinds: BTreeSet<&str> = surveys
                 .iter()
@@ -64,11 +69,12 @@ impl Draft {
             },
             why: BTreeMap::new(),
             world: String::new(),
+            unused: unused.into_iter().map(PathBuf::from).collect(),
         };
         let spaces: BTreeSet<String> = groups.iter().map(|group| group.space.clone()).collect();
         let bags: Vec<&Path> = surveys.iter().map(|survey| survey.path.as_path()).collect();
         for group in &groups {
-            draft.agent(group, &spaces, &bags, groups.len());
+            draft.agent(group, &spaces, &bags, [recordings.len(), groups.len()]);
         }
         draft.remark_shared_poses();
         draft.remark_worlds();
@@ -79,15 +85,21 @@ impl Draft {
         Ok(draft)
     }
 
-    fn agent(&mut self, group: &Group, spaces: &BTreeSet<String>, bags: &[&Path], groups: usize) {
+    fn agent(&mut self, group: &Group, spaces: &BTreeSet<String>, bags: &[&Path], [recordings, groups]: [usize; 2]) {
         let Group {
-            survey, base, clouds, ..
+            recording,
+            base,
+            clouds,
+            ..
         } = group;
-        let several = bags.len() > 1;
-        let name = self.free_name(group, several, groups);
+        let name = self.free_name(group, recordings > 1, groups);
         let mut remark = |field, words: String| {
             self.why.insert((name.clone(), field), words);
         };
+        if recording.bags.len() > 1 {
+            let words = format!("read as one, of one clock, because {}", recording.why);
+            remark("bag", words);
+        }
         let main = clouds
             .iter()
             .max_by_key(|topic| (topic.points, topic.messages))
@@ -134,7 +146,10 @@ impl Draft {
             } else {
                 AgentKind::Vehicle
             },
-            bag: several.then(|| shortest(bags, &survey.path)),
+            bag: match bags {
+                [_] => Vec::new(),
+                _ => recording.bags.iter().map(|bag| shortest(bags, bag)).collect(),
+            },
             clouds: vec![main.topic.clone()],
             frame: base.clone(),
             height: Height::Ground,
@@ -326,7 +341,8 @@ fn space_of(topic: &str) -> &str {
 }
 
 /// Clouds of a bag by the frame that they are fixed to, and by the space of names that they share with other topics.
-fn groups(survey: &Survey) -> Vec<Group<'_>> {
+fn groups<'a>(recording: &'a Recording<'a>) -> Vec<Group<'a>> {
+    let survey = &recording.survey;
     let others: BTreeSet<&str> = survey
         .topics
         .iter()
@@ -346,6 +362,7 @@ fn groups(survey: &Survey) -> Vec<Group<'_>> {
         {
             Some(group) => group.clouds.push(cloud),
             None => groups.push(Group {
+                recording,
                 survey,
                 space: space.into(),
                 base,
@@ -379,6 +396,13 @@ impl fmt::Display for Draft {
             f,
             "# A draft: look at every line. docs/reference/importers.md has the fields."
         )?;
+        for bag in &self.unused {
+            writeln!(
+                f,
+                "# NOT TAKEN: {} has no clouds, and nothing says whose it is; `bag: [A, B]` of an agent reads it as one with its own",
+                printable(&bag.to_string_lossy())
+            )?;
+        }
         writeln!(f, "world: {}  # {}", quoted(world), printable(&self.world))?;
         writeln!(f, "clock: {}  # or `log`: when messages were recorded", clock.as_str())?;
         writeln!(f, "agents:")?;
@@ -390,8 +414,11 @@ impl fmt::Display for Draft {
             };
             writeln!(f, "  {}:", quoted(name))?;
             line(f, "kind", agent.kind.as_str())?;
-            if let Some(bag) = &agent.bag {
-                line(f, "bag", &quoted(&bag.to_string_lossy()))?;
+            let bags: Vec<String> = agent.bag.iter().map(|bag| quoted(&bag.to_string_lossy())).collect();
+            match &bags[..] {
+                [] => {}
+                [bag] => line(f, "bag", bag)?,
+                bags => line(f, "bag", &format!("[{}]", bags.join(", ")))?,
             }
             line(f, "clouds", &quoted(&agent.clouds[0]))?;
             line(f, "frame", &quoted(&agent.frame))?;

@@ -64,11 +64,11 @@ pub struct AgentMap {
     /// What it is.
     #[serde(default = "vehicle")]
     pub kind: AgentKind,
-    /// Its bag, where there are several: its path, or the last part of it.
-    #[serde(default)]
-    pub bag: Option<PathBuf>,
+    /// Its bag, where there are several: its path, or the last part of it. Several bags of one clock are read as one.
+    #[serde(default, deserialize_with = "bags")]
+    pub bag: Vec<PathBuf>,
     /// Topics of its clouds.
-    #[serde(deserialize_with = "one_or_many")]
+    #[serde(deserialize_with = "topics")]
     pub clouds: Vec<String>,
     /// Its own frame: x ahead, y to the left.
     pub frame: String,
@@ -292,17 +292,23 @@ enum OneOrMany {
     Many(Vec<String>),
 }
 
-fn one_or_many<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<String>, D::Error> {
+fn one_or_many<'de, D: Deserializer<'de>>(deserializer: D, expected: &str) -> Result<Vec<String>, D::Error> {
     use serde::de::Error;
     let found = OneOrMany::deserialize(deserializer);
-    Ok(
-        match found
-            .map_err(|_| D::Error::custom("clouds: expected a topic or a list of topics, found something else"))?
-        {
-            OneOrMany::One(topic) => vec![topic],
-            OneOrMany::Many(topics) => topics,
-        },
-    )
+    // Serde names its own types where nothing fits.
+    match found.map_err(|_| D::Error::custom(format!("{expected}, found something else")))? {
+        OneOrMany::One(text) => Ok(vec![text]),
+        OneOrMany::Many(texts) => Ok(texts),
+    }
+}
+
+fn topics<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<String>, D::Error> {
+    one_or_many(deserializer, "clouds: expected a topic or a list of topics")
+}
+
+fn bags<'de, D: Deserializer<'de>>(deserializer: D) -> Result<Vec<PathBuf>, D::Error> {
+    let bags = one_or_many(deserializer, "bag: expected the path of a bag or a list of them")?;
+    Ok(bags.into_iter().map(PathBuf::from).collect())
 }
 
 #[derive(Deserialize)]

@@ -4,6 +4,7 @@ use std::fs::File;
 use std::io::Read;
 use std::path::Path;
 
+use realo_logs::shell;
 use tempfile::NamedTempFile;
 
 use crate::db3::Db3;
@@ -122,7 +123,7 @@ pub(crate) fn open_file(path: &Path) -> Result<Box<dyn Bag>, BagError> {
 
 /// What a file is instead, and what helps.
 fn what(path: &Path, head: &[u8]) -> String {
-    let name = path.display();
+    let name = shell::word(path);
     let unpack = |what: &str, program: &str| {
         format!("a file that is compressed by {what}; unpack it first (`{program} {name}`)")
     };

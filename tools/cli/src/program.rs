@@ -74,7 +74,8 @@ pub fn parse<P: CommandFactory + FromArgMatches>(elsewhere: &Elsewhere) -> P {
     let matches = command.try_get_matches().unwrap_or_else(|error| {
         let other = called_beside(elsewhere.program);
         let other = beside(elsewhere.program).is_ok().then_some(other);
-        if let Some(said) = said_of(&error, &known, elsewhere, &words, other.as_deref()) {
+        let said = said_of(&error, &known, elsewhere, &words, other.as_deref());
+        if let Some(said) = said.or_else(|| said_of_kinds(&error, &known, &words)) {
             eprintln!("{said}");
             // As clap ends.
             std::process::exit(2);
@@ -124,6 +125,40 @@ fn said_of(
         Some(_) => format!("{what}: run it: {line}"),
         None => format!("{what}: build it by `cargo build --release -p {package}`, then run it: {line}"),
     })
+}
+
+/// What there is instead of a command that a command of this program does not have, as a kind of data set.
+fn said_of_kinds(error: &clap::Error, own: &clap::Command, words: &[String]) -> Option<String> {
+    let ContextValue::String(wrong) = error.get(ContextKind::InvalidSubcommand)? else {
+        return None;
+    };
+    let (mut at, mut path) = (own, Vec::new());
+    for word in words.iter().take_while(|word| *word != wrong) {
+        if let Some(next) = at.find_subcommand(word) {
+            at = next;
+            path.push(word.as_str());
+        }
+    }
+    let shown = at.get_subcommands().filter(|known| !known.is_hide_set());
+    let names: Vec<&str> = shown
+        .map(clap::Command::get_name)
+        .filter(|name| *name != "help")
+        .collect();
+    // Of the program's own commands, clap's words say where they are listed.
+    if path.is_empty() || names.is_empty() {
+        return None;
+    }
+    let (own, path) = (own.get_name(), path.join(" "));
+    // Any short name is like any other by its length alone.
+    let begins_alike = |near: &String| near.chars().next() == wrong.chars().next();
+    let nearest = nearest_name(wrong, names.iter().copied()).filter(begins_alike);
+    let nearest = nearest.map_or(String::new(), |nearest| format!("; did you mean `{nearest}`?"));
+    Some(format!(
+        "{own}: {path}: expected one of {}, found `{}`{nearest}\n`{} {path} --help` says what each is",
+        names.join(", "),
+        wrong.escape_debug(),
+        called(),
+    ))
 }
 
 /// Lets options that take numbers take negative ones, so that whoever checks their range reports it.
@@ -184,7 +219,7 @@ pub fn called_beside(name: &str) -> String {
 
 /// The text as a shell takes it.
 pub fn quoted(text: &str) -> String {
-    shlex::try_quote(text).map_or_else(|_| text.to_string(), |quoted| quoted.into_owned())
+    realo_logs::shell::quoted(text)
 }
 
 /// The file of another program of realo, which lies beside this one.
@@ -236,6 +271,29 @@ mod tests {
         for ours in ["realo rnder", "realo nothing-like-it", "realo run --train"] {
             assert_eq!(said(ours, None), None, "{ours}");
         }
+    }
+
+    #[test]
+    fn a_kind_that_is_not_there_is_answered_with_those_that_are() {
+        let kinds = ["opv2v", "kitti"].map(clap::Command::new);
+        let own = clap::Command::new("realo").subcommand(clap::Command::new("export").subcommands(kinds));
+        let said = |words: &[&str]| {
+            let error = own.clone().try_get_matches_from(words).unwrap_err();
+            let words: Vec<String> = words[1..].iter().map(ToString::to_string).collect();
+            said_of_kinds(&error, &own, &words)
+        };
+        let near = said(&["realo", "export", "kiti", "a.mcap", "-o", "b"]).unwrap();
+        let expected = "realo: export: expected one of opv2v, kitti, found `kiti`; did you mean `kitti`?\n";
+        assert!(
+            near.starts_with(expected) && near.ends_with(" export --help` says what each is"),
+            "{near}"
+        );
+        for far in ["nuscenes", "vitti"] {
+            let said = said(&["realo", "export", far, "a.mcap"]).unwrap();
+            assert!(said.contains(&format!("found `{far}`\n")), "{said}");
+        }
+        assert_eq!(said(&["realo", "nothing"]), None);
+        assert_eq!(said(&["realo", "export", "kitti", "--nothing"]), None);
     }
 
     #[test]

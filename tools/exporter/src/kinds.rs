@@ -7,7 +7,7 @@ mod rosbag2;
 
 use std::path::Path;
 
-use realo_logs::{Log, McapFile};
+use realo_logs::{Log, McapFile, shell};
 
 use crate::{ExportError, Exported, Folder, Options};
 
@@ -150,7 +150,7 @@ fn written(
     exported.kind = exporter.kind().name;
     exported.path = output.into();
     exported.bytes = folder.written();
-    exported.read_back = exported.read_back.replace("PATH", &output.display().to_string());
+    exported.read_back = exported.read_back.replace("PATH", &shell::word(output));
     folder.finish(exported.kind, from, replace)?;
     Ok(exported)
 }

@@ -17,11 +17,12 @@ mod write;
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 
 use realo_bags::map_file::MapFile;
 use realo_bags::{Bag, Draft, Survey};
 
-use self::agents::Agent;
+use self::agents::{Agent, Joined};
 pub use self::summary::{BagAgent, BagSummary};
 use crate::{ImportError, Options};
 
@@ -34,8 +35,13 @@ pub struct Bags {
 
 /// What is open while bags are imported.
 struct Import {
-    bags: Vec<Box<dyn Bag>>,
+    /// Bags as they were given.
+    files: Vec<Rc<dyn Bag>>,
+    /// The same as agents see them.
+    joined: Joined,
     map: MapFile,
+    /// Whether the log has all agents of the map file.
+    is_whole: bool,
     agents: Vec<Agent>,
     /// The map file as it was drafted, where nobody gave one.
     draft: Option<String>,
@@ -59,8 +65,8 @@ impl Bags {
         let opened = self
             .paths
             .iter()
-            .map(|path| realo_bags::open(path).and_then(realo_bags::decoded));
-        let bags = opened.collect::<Result<Vec<_>, _>>()?;
+            .map(|path| realo_bags::open(path).and_then(realo_bags::decoded).map(Rc::from));
+        let bags: Vec<Rc<dyn Bag>> = opened.collect::<Result<_, _>>()?;
         // A bag that is cut may lack just what the map file asks for.
         let notes: Vec<String> = bags.iter().flat_map(|bag| bag.notes().to_vec()).collect();
         self.made(bags, report).map_err(|error| error.with_notes(&notes))
@@ -68,7 +74,7 @@ impl Bags {
 
     fn made(
         &self,
-        bags: Vec<Box<dyn Bag>>,
+        bags: Vec<Rc<dyn Bag>>,
         report: &mut dyn FnMut(&'static str, u64, u64),
     ) -> Result<BagSummary, ImportError> {
         let import = self.plan(bags)?;
@@ -77,7 +83,7 @@ impl Bags {
         write::write(&import, small, &clocks, &self.output, report)
     }
 
-    fn plan(&self, bags: Vec<Box<dyn Bag>>) -> Result<Import, ImportError> {
+    fn plan(&self, bags: Vec<Rc<dyn Bag>>) -> Result<Import, ImportError> {
         let (mut map, draft) = match &self.options.map {
             Some(file) => (MapFile::read(file)?, None),
             None => {
@@ -90,9 +96,12 @@ impl Bags {
         };
         self.choose(&mut map)?;
         let file = self.options.map.as_deref().unwrap_or(&self.paths[0]);
-        let agents = agents::found(&bags, &map).map_err(|reason| ImportError::content(file, reason))?;
+        let found = agents::found(&bags, &map);
+        let (joined, agents) = found.map_err(|reason| ImportError::content(file, reason))?;
         Ok(Import {
-            bags,
+            files: bags,
+            joined,
+            is_whole: self.options.agents.is_empty(),
             map,
             agents,
             draft,

@@ -34,6 +34,9 @@ impl BodyCloud {
     /// # Errors
     /// Points or times that are too far from the sensor or the sweep.
     pub fn new(points: Points, stamp: Nanos, body_from_lidar: &Isometry3<f64>) -> Result<Self, String> {
+        if points.offset_ns.is_none() {
+            points.no_unknown_times()?;
+        }
         let n = points.x.len();
         let [mut x, mut y, mut z] = [(); 3].map(|()| Vec::with_capacity(n));
         for ((u, v), w) in points.x.iter().zip(&points.y).zip(&points.z) {

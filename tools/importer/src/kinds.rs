@@ -17,6 +17,7 @@ mod v2x_real;
 
 use std::path::Path;
 
+pub use self::folders::FolderMemory;
 pub use self::job::{Imported, Job};
 pub use self::seen::{Seen, look_at};
 use crate::{ImportError, Options};
@@ -95,6 +96,7 @@ pub trait Importer: Sync {
     /// # Errors
     /// A folder of another kind, with its name; scenes, agents or frames that do not exist.
     fn job(&self, dir: &Path, output: &Path, options: &Options) -> Result<Job, ImportError> {
+        let _memory = FolderMemory::new(|_| {});
         let Err(why_not) = self.recognise(dir) else {
             return self.prepare(dir, output, options);
         };
@@ -117,7 +119,7 @@ pub static KINDS: &[&dyn Importer] = &[
     &opv2v::OPV2V,
     &v2x_real::V2X_REAL,
     &v2v4real::V2V4REAL,
-    &cooperscene::COOPERSCENE,
+    &cooperscene::CooperScene,
     &tumtraf::TumTraf,
     &urbaning::Urbaning,
     &kitti::Kitti,

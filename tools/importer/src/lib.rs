@@ -23,7 +23,7 @@ mod yaml;
 pub use bag::{BagAgent, BagSummary};
 pub use dair::{DairOptions, DairStep, ROADSIDE, RoadsideStamp, Summary, VEHICLE, dair, dair_with, lidar_height};
 pub use error::ImportError;
-pub use kinds::{Imported, Importer, Job, KINDS, Kind, Seen, importer, list, look_at};
+pub use kinds::{FolderMemory, Imported, Importer, Job, KINDS, Kind, Seen, importer, list, look_at};
 pub use level::{Level, Plane};
 pub use options::{BoxPlace, Handed, OPTIONS, OptionInfo, Options, SweepStamp, option_info};
 pub use pcd::{PcdCloud, parse_pcd, read_pcd};

@@ -5,6 +5,7 @@ mod columns;
 mod head;
 mod lzf;
 mod ply;
+mod stamps;
 
 use std::borrow::Cow;
 use std::fs;
@@ -59,12 +60,24 @@ pub(crate) struct Points {
     pub intensity: Intensities,
     pub intensity_from: IntensityFrom,
     pub timestamp: Option<Vec<f64>>,
-    /// The field `t` of whole numbers, as the file has it: data sets differ in what it means.
+    /// Counts of a field of whole numbers, as the file has it: data sets differ in what they mean.
     pub t: Option<Vec<f64>>,
+    /// The field of these counts is `timestamp`, and not `t`.
+    pub t_is_timestamp: bool,
     /// Times as offsets from the stamp, ns; they count before `timestamp`.
     pub offset_ns: Option<Vec<i32>>,
     /// How these offsets were made of other times, in words.
     pub times: Option<String>,
+}
+
+impl Points {
+    /// Refuses a field `timestamp` whose counts have no unit, for whoever needs seconds since 1970.
+    pub fn no_unknown_times(&self) -> Result<(), String> {
+        match (&self.t, self.t_is_timestamp) {
+            (Some(counts), true) => Err(stamps::unknown(counts)),
+            _ => Ok(()),
+        }
+    }
 }
 
 /// Where intensities are from.
@@ -169,6 +182,8 @@ pub fn read_pcd(path: &Path) -> Result<PcdCloud, ImportError> {
 /// # Errors
 /// A head, a field or a length that does not fit, by name; points farther away than a LiDAR sees.
 pub fn parse_pcd(bytes: &[u8]) -> Result<PcdCloud, String> {
+    let points = parse_points(bytes)?;
+    points.no_unknown_times()?;
     let Points {
         x,
         y,
@@ -176,7 +191,7 @@ pub fn parse_pcd(bytes: &[u8]) -> Result<PcdCloud, String> {
         intensity,
         timestamp,
         ..
-    } = parse_points(bytes)?;
+    } = points;
     for ((x, y), z) in x.iter().zip(&y).zip(&z) {
         seen([*x, *y, *z])?;
     }

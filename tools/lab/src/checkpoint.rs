@@ -8,6 +8,7 @@ use eyre::Result;
 use realo_checkpoint::{Checkpoint, Written};
 use realo_cli::Outcome;
 use realo_cli::program::called_beside;
+use realo_logs::shell;
 use realo_methods::Model;
 
 /// Reads checkpoints that PyTorch wrote, without running what is in them
@@ -113,13 +114,7 @@ fn next(model: &Model, written: &Written) -> String {
         "v2vnet" => "attfuse",
         arch => arch,
     };
-    let file = quoted(&written.model);
+    let file = shell::word(&written.model);
     let realo = called_beside("realo");
     format!("{realo} run dataflows/{graph}.yml --offline --project sender --model {file}")
-}
-
-/// A path as a shell takes it.
-fn quoted(path: &Path) -> String {
-    let text = path.to_string_lossy();
-    shlex::try_quote(&text).map_or_else(|_| text.to_string(), |quoted| quoted.into_owned())
 }

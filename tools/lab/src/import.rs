@@ -2,12 +2,14 @@
 
 mod kind;
 
+use std::io::IsTerminal;
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 
 use clap::Subcommand;
 use eyre::{Result, bail};
 use realo_cli::{Force, Outcome, Output, Progress, one_of, report_left_out, unfinished};
-use realo_importer::{Importer, Level, Options};
+use realo_importer::{FolderMemory, Importer, Level, Options};
 use realo_logs::Log;
 
 use self::kind::KindArgs;
@@ -67,13 +69,16 @@ pub fn main(args: &Args) -> Result<Outcome> {
     match &args.source {
         None => Ok(Outcome::Complete),
         Some(Source::Auto { dir, output, force }) => {
+            let look = Look::begin();
             let seen = realo_importer::look_at(dir);
             let importer = seen.only(dir)?;
-            println!("{seen}");
+            look.beside(|| println!("{seen}"));
             match output {
-                Some(output) => import(importer, dir, output, *force, &importer.kind().defaults()),
+                Some(output) => import(look, importer, dir, output, *force, &importer.kind().defaults()),
                 None => {
-                    println!("{}", seen.next(dir));
+                    let next = seen.next(dir);
+                    look.end();
+                    println!("{next}");
                     Ok(Outcome::Complete)
                 }
             }
@@ -84,12 +89,63 @@ pub fn main(args: &Args) -> Result<Outcome> {
             force,
             level,
         }) => relevel(log, output, *force, *level),
-        Some(Source::Kind(args)) => import(args.importer, &args.dir, &args.output, args.force, &args.options()?),
+        Some(Source::Kind(args)) => {
+            let options = args.options()?;
+            import(
+                Look::begin(),
+                args.importer,
+                &args.dir,
+                &args.output,
+                args.force,
+                &options,
+            )
+        }
     }
 }
 
-fn import(importer: &dyn Importer, dir: &Path, output: &Path, force: Force, options: &Options) -> Result<Outcome> {
+/// The look over a folder before its import: what was listed is not listed again, and a terminal shows how far it is.
+struct Look {
+    _memory: FolderMemory,
+    shown: Option<Rc<Progress>>,
+}
+
+impl Look {
+    fn begin() -> Self {
+        let is_seen = std::io::stderr().is_terminal();
+        let shown = is_seen.then(|| Rc::new(Progress::new("looking", "folders", None)));
+        let known = shown.clone();
+        let look = move |folders: u64| {
+            if let Some(shown) = &known {
+                shown.set(folders as f64);
+            }
+        };
+        Look {
+            _memory: FolderMemory::new(look),
+            shown,
+        }
+    }
+
+    /// Prints beside the bar.
+    fn beside(&self, print: impl FnOnce()) {
+        match &self.shown {
+            Some(shown) => shown.beside(print),
+            None => print(),
+        }
+    }
+
+    fn end(self) {}
+}
+
+fn import(
+    look: Look,
+    importer: &dyn Importer,
+    dir: &Path,
+    output: &Path,
+    force: Force,
+    options: &Options,
+) -> Result<Outcome> {
     let job = importer.job(dir, output, options)?;
+    look.end();
     let outputs = job.outputs().to_vec();
     for output in &outputs {
         is_no_source(

@@ -36,7 +36,7 @@ fn write(path: &Path) -> Result<()> {
     eyre::bail!(
         "this program was built without the feature `demo`: make the log by `cargo run --release -p realo-lab -- simulate --seed 900 \
          --seconds 10 --agents cav1,cav2,rsu1 -o {}`, or name one (--log)",
-        path.display()
+        realo_logs::shell::word(path)
     )
 }
 

@@ -7,7 +7,7 @@ use std::path::{Path, PathBuf};
 
 use eyre::Result;
 use realo_cli::Outcome;
-use realo_logs::{Described, Log};
+use realo_logs::{Described, Description, Log, Stream};
 use realo_player::Coop;
 use realo_results::scoring::{Collector, Protocol};
 use realo_results::{Run, Settings};
@@ -41,6 +41,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         let mut described = realo_logs::describe_any(path)?;
         let dropped = dropped_classes(&described);
         if let Described::Log(log) = &mut described {
+            log.problems.extend(unreadable(log));
             // What is wrong with others is known already, and may keep them from being played.
             if log.problems.is_empty() && log.truncated.is_none() {
                 log.problems = faults_of_runs(path)?;
@@ -57,6 +58,28 @@ pub fn main(args: &Args) -> Result<Outcome> {
         }
     }
     Ok(outcome)
+}
+
+/// One line for all agents whose sweeps cannot be read from the first on; `sweeps` of the description has why.
+fn unreadable(log: &Description) -> Option<String> {
+    let agents = log.sweeps.iter().filter(|(_, sweeps)| sweeps.problem.is_some());
+    let agents: Vec<&String> = agents.map(|(agent, _)| agent).collect();
+    let topics = agents
+        .iter()
+        .filter_map(|agent| log.topics.get(&Stream::Points.topic(agent)));
+    let sweeps: u64 = topics.map(|topic| topic.channel.messages).sum();
+    let first = log.sweeps.get(*agents.first()?)?.problem.as_ref()?;
+    let names: Vec<String> = agents.iter().map(|agent| format!("`{agent}`")).collect();
+    Some(match agents.len() {
+        1 => format!(
+            "sweeps of {} cannot be read ({sweeps} of them): {first}",
+            names.concat()
+        ),
+        count => format!(
+            "sweeps of {count} agents cannot be read ({sweeps} of {}), of the first because: {first}",
+            names.join(", ")
+        ),
+    })
 }
 
 /// A description, with problems at its head, what a protocol drops and the verdict at its end.
@@ -149,8 +172,54 @@ fn dropped_classes(described: &Described) -> Vec<Dropped> {
 
 #[cfg(test)]
 mod tests {
-    use realo_logs::MAX_GAP;
+    use std::fs::File;
+
+    use realo_logs::{ChunkGroup, MAX_GAP, McapWriter, Schema, describe};
     use realo_stages::SyncSettings;
+
+    use super::*;
+
+    #[test]
+    fn sweeps_of_all_agents_that_cannot_be_read_are_one_line_with_their_count() {
+        let dir = tempfile::tempdir().unwrap();
+        let said = |agents: &[&str], broken: &[&str]| {
+            let path = dir.path().join(format!("{}.mcap", broken.len()));
+            let names: Vec<String> = agents
+                .iter()
+                .map(|name| format!(r#"{{"name":"{name}","kind":"vehicle"}}"#))
+                .collect();
+            let entries = [
+                ("format", "1".to_string()),
+                ("program", "x".into()),
+                ("source", "x".into()),
+                ("agents", format!("[{}]", names.join(","))),
+                ("map_frame", "map".into()),
+                ("protocol", "default".into()),
+                ("key_frames", "all".into()),
+            ];
+            let metadata: BTreeMap<String, String> = entries.map(|(key, value)| (key.to_string(), value)).into();
+            let mut mcap = McapWriter::new(File::create(&path).unwrap(), "x", "realo", &metadata).unwrap();
+            for name in broken {
+                let topic = Stream::Points.topic(name);
+                let channel = mcap.channel(&topic, Schema::PointCloud2, ChunkGroup::of(&Schema::PointCloud2.name()));
+                for step in 0..3 {
+                    let at = 1_700_000_000_000_000_000 + step * 100_000_000;
+                    mcap.write(channel, at, at, |out| out.u32(7)).unwrap();
+                }
+            }
+            mcap.finish().unwrap();
+            unreadable(&describe(&path).unwrap())
+        };
+        assert_eq!(said(&["cav1", "rsu1"], &[]), None);
+        let one = said(&["cav1", "rsu1"], &["rsu1"]).unwrap();
+        assert!(
+            one.starts_with("sweeps of `rsu1` cannot be read (3 of them): "),
+            "{one}"
+        );
+        let both = said(&["cav1", "rsu1"], &["cav1", "rsu1"]).unwrap();
+        let words = "sweeps of 2 agents cannot be read (6 of `cav1`, `rsu1`), of the first because: ";
+        assert!(both.starts_with(words), "{both}");
+    }
 
     #[test]
     fn info_warns_of_the_gaps_that_sync_does_not_bridge() {

@@ -145,6 +145,23 @@ pub fn mean_aps(run: &Run) -> Vec<String> {
     }
 }
 
+/// AP at each IoU over the classes that have objects, with these classes, where a run lacks objects of others, so that it has no mAP.
+pub fn known_aps(run: &Run) -> Option<(Vec<&str>, Vec<String>)> {
+    let accuracy = &run.result.accuracy.as_ref()?.sorted;
+    let ious = ious(&[run]);
+    let ap = |class: &str, iou: &String| accuracy.ap.get(class)?.get(iou).copied().flatten();
+    let classes = accuracy.ap.keys().map(String::as_str);
+    let classes: Vec<&str> = classes
+        .filter(|class| ious.iter().all(|iou| ap(class, iou).is_some()))
+        .collect();
+    let mean = |iou: &String| {
+        let sum: f64 = classes.iter().filter_map(|class| ap(class, iou)).sum();
+        fraction(Some(sum / classes.len() as f64))
+    };
+    let means = ious.iter().map(mean).collect();
+    (!classes.is_empty() && classes.len() < accuracy.ap.len() && !ious.is_empty()).then_some((classes, means))
+}
+
 /// The interval of mAP over logs; `None` with fewer than two.
 pub fn interval(run: &Run, iou: &str) -> Option<[f64; 2]> {
     let intervals = run.result.intervals.as_ref()?;

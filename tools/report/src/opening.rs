@@ -3,7 +3,7 @@
 use realo_results::{END_TO_END, Run};
 
 use crate::cells::{NONE, age, count, kilobytes};
-use crate::columns::{OFFLINE, STATE, has_latency, mean_aps, median_age, payload};
+use crate::columns::{OFFLINE, STATE, has_latency, known_aps, mean_aps, median_age, payload};
 use crate::text::{Align, one_line, paragraph, width_of, write_row};
 
 /// Between two columns.
@@ -45,9 +45,12 @@ pub fn opening(runs: &[(&str, &Run)], sentences: &[String], width: usize) -> Str
 /// The five numbers, each with its unit.
 fn numbers(run: &Run) -> [String; 5] {
     let result = &run.result;
-    let accuracy = match mean_aps(run) {
-        known if known.is_empty() => format!("mAP {NONE}"),
-        known => format!("mAP {}", known.join(" / ")),
+    let accuracy = match (mean_aps(run), known_aps(run)) {
+        (known, _) if !known.is_empty() => format!("mAP {}", known.join(" / ")),
+        // Of one class it is no mean.
+        (_, Some((classes, known))) if classes.len() == 1 => format!("AP of {} {}", classes[0], known.join(" / ")),
+        (_, Some((classes, known))) => format!("mAP of {} {}", classes.join(", "), known.join(" / ")),
+        (_, None) => format!("mAP {NONE}"),
     };
     let traffic = payload(result).map_or(NONE.into(), kilobytes);
     let is_offline = result.settings.mode == OFFLINE;
@@ -77,6 +80,32 @@ fn numbers(run: &Run) -> [String; 5] {
 mod tests {
     use super::*;
     use crate::tests::run;
+
+    #[test]
+    fn without_objects_of_a_class_the_others_are_named_with_their_ap() {
+        let mut one = run("a", "cav1", 1);
+        let accuracy = &mut one.result.accuracy.as_mut().unwrap().sorted;
+        accuracy.mean_ap.values_mut().for_each(|mean| *mean = None);
+        let classes: Vec<String> = accuracy.ap.keys().cloned().collect();
+        for (place, class) in classes.iter().enumerate() {
+            let known = (place < 1).then_some(0.5);
+            accuracy
+                .ap
+                .get_mut(class)
+                .unwrap()
+                .values_mut()
+                .for_each(|ap| *ap = known);
+        }
+        assert_eq!(numbers(&one)[0], format!("AP of {} 0.500 / 0.500", classes[0]));
+        let accuracy = &mut one.result.accuracy.as_mut().unwrap().sorted;
+        let second = accuracy.ap.get_mut(&classes[1]).unwrap();
+        second.values_mut().for_each(|ap| *ap = Some(1.0));
+        assert!(classes.len() > 2, "one has no objects: {classes:?}");
+        assert_eq!(
+            numbers(&one)[0],
+            format!("mAP of {}, {} 0.750 / 0.750", classes[0], classes[1])
+        );
+    }
 
     #[test]
     fn every_run_has_its_five_numbers_in_a_line() {

@@ -42,6 +42,8 @@ const QUOTED: usize = 2048;
 pub struct Child {
     /// Its node's id.
     node: String,
+    /// Its command line.
+    program: String,
     process: Process,
     /// Ends the process, and all that it starts.
     guard: Guard,
@@ -50,6 +52,8 @@ pub struct Child {
     replies: Receiver<Result<Buffer, FrameError>>,
     said: Arc<Mutex<Vec<u8>>>,
     silence: Silence,
+    /// Whether this side ended it.
+    was_stopped: bool,
     /// Whether it has answered a call.
     answered: bool,
     /// Whether a person knows that it is waited for.
@@ -121,7 +125,7 @@ impl Child {
     /// # Errors
     /// Why it is no host of an operator, by the node's id.
     pub fn start(node: &str, mut command: Command, patience: Duration) -> Result<Child, String> {
-        let program = command.get_program().to_string_lossy().into_owned();
+        let program = words::command_line(&command);
         if is_ending() {
             return Err(format!("node `{node}`: {ENDED}"));
         }
@@ -131,13 +135,13 @@ impl Child {
         let spawned = command.spawn();
         let mut process = spawned.map_err(|error| {
             format!(
-                "node `{node}`: cannot start {program}: {error}; build it, or correct the path, which is seen from the graph's folder"
+                "node `{node}`: cannot start `{program}`: {error}; build it, or correct the path, which is seen from the graph's folder"
             )
         })?;
         let (Some(stdin), Some(stdout), Some(stderr)) =
             (process.stdin.take(), process.stdout.take(), process.stderr.take())
         else {
-            return Err(format!("node `{node}`: {program} has no pipes"));
+            return Err(format!("node `{node}`: `{program}` has no pipes"));
         };
         let memory = Arc::new(Memory::default());
         let replies = replies_on(stdout, memory.clone());
@@ -149,6 +153,7 @@ impl Child {
         });
         let mut child = Child {
             node: node.into(),
+            program,
             process,
             guard,
             calls: Some(calls),
@@ -157,6 +162,7 @@ impl Child {
                 first: patience,
                 later: patience,
             },
+            was_stopped: false,
             answered: false,
             noticed: false,
             shares: false,
@@ -213,10 +219,15 @@ impl Child {
         match answered {
             Ok(None) => Ok(()),
             Ok(Some(error)) => Err(error.into()),
-            Err(reason) => Err(Box::new(Gone(match reason {
-                Failure::Closed => self.farewell("before it answered a call"),
-                Failure::Other(reason) => self.last_words(&reason),
-            }))),
+            Err(reason) => {
+                let reason = match reason {
+                    Failure::Closed => self.farewell("before it answered a call"),
+                    Failure::Other(reason) => self.last_words(&reason),
+                };
+                let ended = self.exited(Duration::ZERO).filter(|_| !self.was_stopped);
+                let advice = ended.map_or(words::TABLE, words::advice);
+                Err(Box::new(Gone(format!("{reason}\n{advice}"))))
+            }
         }
     }
 
@@ -240,7 +251,10 @@ impl Child {
             }
             Err(RecvTimeoutError::Timeout) if is_ending() => return Err(Failure::Other(ENDED.into())),
             Err(RecvTimeoutError::Timeout) => {
-                return Err(Failure::Other(format!("no reply within {} s", silence.as_secs())));
+                return Err(Failure::Other(format!(
+                    "no reply within {} s: do less in a call, and what takes long, as loading a model, before `run`",
+                    silence.as_secs()
+                )));
             }
             Err(RecvTimeoutError::Disconnected) => return Err(Failure::Closed),
         };
@@ -346,6 +360,7 @@ impl Child {
     }
 
     fn stop(&mut self) {
+        self.was_stopped = true;
         self.guard.kill();
         let _ = self.process.wait();
     }
@@ -500,6 +515,47 @@ mod tests {
             "waiting for node `fusion`: for 10 s its program did not answer a call; the run fails after 600 s"
         );
         assert_eq!(notice(11), None);
+    }
+
+    #[test]
+    fn a_failure_in_a_call_says_which_program_its_last_lines_and_what_to_try() {
+        let many = "for line in 1 2 3 4 5 6 7 8 9 10 11 12 13 14; do echo \"line $line\" >&2; done";
+        for (script, named) in [
+            (
+                format!("{many}; echo 'ValueError: no boxes' >&2; exit 1"),
+                &[
+                    "program `sh -c",
+                    "it ended with exit status: 1 before it answered a call",
+                    "at last:\n    line 4\n    line 5\n",
+                    "\n    ValueError: no boxes\nmend what its last lines name",
+                ][..],
+            ),
+            (
+                "kill -s KILL $$".into(),
+                &[
+                    "before it answered a call; it said nothing",
+                    "\nit was killed: if the system did it",
+                ],
+            ),
+            (
+                "kill -s SEGV $$".into(),
+                &["\nit crashed in compiled code: PYTHONFAULTHANDLER=1"],
+            ),
+            (
+                "exec sleep 60 >&-".into(),
+                &[
+                    "it closed its standard output",
+                    "\ndocs/reference/plugins.md, \"When something stops you\"",
+                ],
+            ),
+        ] {
+            let mut child = greeting(&script);
+            let error = child.on_wake(0, &mut Outputs::at(0)).unwrap_err().to_string();
+            for part in named {
+                assert!(error.contains(part), "{part}: {error}");
+            }
+            assert!(!error.contains("line 3\n"), "{error}");
+        }
     }
 
     #[test]

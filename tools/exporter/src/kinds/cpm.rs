@@ -12,7 +12,7 @@ use realo_transmission::cpm::{Geodetic, station_of};
 use realo_transmission::{BoxesLayout, Dropped, EncodeError, Encoder, EncoderSettings};
 
 use self::index::Index;
-use self::lists::{Agents, List, Source, each_list};
+use self::lists::{Agents, List, Source, Unpaired, each_list};
 use super::{Exporter, Kind, Report};
 use crate::options::BoxSource;
 use crate::{ExportError, Exported, ExportedAgent, Folder, Options};
@@ -96,8 +96,8 @@ fn write(
     })?;
     stations(&agents).map_err(refused)?;
     let mut writing = Writing::new(&agents, origin, options, source)?;
-    let without_pair = each_list(source, &agents, options, report, |list| writing.list(folder, list))?;
-    writing.exported(folder, origin, without_pair)
+    let unpaired = each_list(source, &agents, options, report, |list| writing.list(folder, list))?;
+    writing.exported(folder, origin, unpaired)
 }
 
 /// Refuses two agents whose names stand for one station.
@@ -251,7 +251,7 @@ impl<'a> Writing<'a> {
         lost
     }
 
-    fn exported(self, folder: &mut Folder, origin: Geodetic, without_pair: u64) -> Result<Exported, ExportError> {
+    fn exported(self, folder: &mut Folder, origin: Geodetic, unpaired: Unpaired) -> Result<Exported, ExportError> {
         if self.summaries.is_empty() {
             let topic = self.options.boxes.topic();
             let reason = format!(
@@ -278,8 +278,12 @@ impl<'a> Writing<'a> {
                 "objects centred in the outline of their agent, which are the agent itself",
             ),
             (
-                without_pair,
-                "lists of boxes without their companion of headings, where the file was cut",
+                unpaired.lists,
+                "lists of boxes without a companion of headings of their stamp",
+            ),
+            (
+                unpaired.companions,
+                "companions of headings without a list of boxes of their stamp",
             ),
         ];
         let lost = self.lost();

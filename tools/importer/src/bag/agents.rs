@@ -1,10 +1,13 @@
 //! The agents of the map file, with their topics found in the bags.
 
+use std::collections::BTreeSet;
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 
 use realo_bags::map_file::{AgentMap, MapFile, PoseSource};
 use realo_bags::messages::Kind;
-use realo_bags::{Bag, Encoding, shortest};
+use realo_bags::{Bag, Encoding, Together, shortest};
+use realo_logs::shell;
 
 /// An agent with its topics.
 pub struct Agent {
@@ -12,7 +15,7 @@ pub struct Agent {
     pub name: String,
     /// What the map file says.
     pub map: AgentMap,
-    /// Its bag.
+    /// Its bag, which several files may be together.
     pub bag: usize,
     /// Topics of clouds, the first one's stamps are the sweeps'.
     pub clouds: Vec<Topic>,
@@ -63,49 +66,126 @@ pub struct Topic {
     pub kind: Kind,
 }
 
-/// Finds the topics of all agents.
+/// Bags as agents see them.
+#[derive(Default)]
+pub struct Joined {
+    /// Each is a file, or several that are read as one.
+    pub bags: Vec<Rc<dyn Bag>>,
+    /// The files of each, rising.
+    pub files: Vec<Vec<usize>>,
+    /// Of each, the connections that another of them has too, as both have the file.
+    pub shared: Vec<BTreeSet<usize>>,
+    /// Files of which no agent takes anything.
+    pub unused: Vec<usize>,
+}
+
+impl Joined {
+    /// Of files, with those of each agent. Files of no agent are bags, too: what they heard compares clocks.
+    fn of(files: &[Rc<dyn Bag>], of_agents: &[Vec<usize>]) -> Self {
+        let used: BTreeSet<usize> = of_agents.iter().flatten().copied().collect();
+        let unused: Vec<usize> = (0..files.len()).filter(|file| !used.contains(file)).collect();
+        let all = of_agents.iter().cloned().chain(unused.iter().map(|file| vec![*file]));
+        let lists: Vec<Vec<usize>> = all.collect::<BTreeSet<_>>().into_iter().collect();
+        let bag = |list: &Vec<usize>| match list[..] {
+            [only] => files[only].clone(),
+            _ => Rc::new(Together::new(list.iter().map(|file| files[*file].clone()).collect())),
+        };
+        let bags: Vec<Rc<dyn Bag>> = lists.iter().map(bag).collect();
+        let is_shared = |file: &usize| lists.iter().filter(|list| list.contains(file)).count() > 1;
+        let shared = bags.iter().zip(&lists).map(|(bag, list)| {
+            let files: Vec<&Rc<dyn Bag>> = list
+                .iter()
+                .filter(|file| is_shared(file))
+                .map(|file| &files[*file])
+                .collect();
+            let connections = bag.connections().iter().enumerate();
+            let held = connections.filter(|(_, own)| files.iter().any(|file| has(file.as_ref(), &own.topic)));
+            held.map(|(place, _)| place).collect()
+        });
+        Joined {
+            shared: shared.collect(),
+            bags,
+            files: lists,
+            unused,
+        }
+    }
+}
+
+fn has(bag: &dyn Bag, topic: &str) -> bool {
+    bag.connections().iter().any(|connection| connection.topic == topic)
+}
+
+/// Finds the bags and the topics of all agents.
 ///
 /// # Errors
 /// A bag or a topic that is not there, or holds something else.
-pub fn found(bags: &[Box<dyn Bag>], map: &MapFile) -> Result<Vec<Agent>, String> {
-    let agent = |(name, agent): (&String, &AgentMap)| {
-        one(bags, name, agent).map_err(|reason| format!("agents.{name}.{reason}"))
-    };
-    let agents: Vec<Agent> = map.agents.iter().map(agent).collect::<Result<_, _>>()?;
-    for (place, agent) in agents.iter().enumerate() {
-        for other in &agents[..place] {
-            let is_others = |cloud: &&Topic| {
-                let mut topics = other.clouds.iter();
-                other.bag == agent.bag && topics.any(|topic| topic.connection == cloud.connection)
-            };
-            if let Some(cloud) = agent.clouds.iter().find(is_others) {
+pub fn found(files: &[Rc<dyn Bag>], map: &MapFile) -> Result<(Joined, Vec<Agent>), String> {
+    let named = |name: &str, reason: String| format!("agents.{name}.{reason}");
+    let mut of_agents = Vec::new();
+    for (name, agent) in &map.agents {
+        of_agents.push(files_of(files, agent).map_err(|reason| named(name, reason))?);
+    }
+    let joined = Joined::of(files, &of_agents);
+    let mut agents: Vec<Agent> = Vec::new();
+    for ((name, map), own) in map.agents.iter().zip(&of_agents) {
+        let source = Source {
+            files,
+            joined: &joined,
+            bag: joined
+                .files
+                .iter()
+                .position(|list| list == own)
+                .expect("it is one of them"),
+        };
+        let agent = one(&source, name, map).map_err(|reason| named(name, reason))?;
+        for other in &agents {
+            if let Some(cloud) = agent
+                .clouds
+                .iter()
+                .find(|cloud| is_others(files, &joined, cloud, &agent, other))
+            {
                 return Err(format!(
-                    "agents.{}.clouds: `{}` is the topic of `{}` already; expected a topic for each agent",
-                    agent.name, cloud.name, other.name
+                    "agents.{name}.clouds: `{}` is the topic of `{}` already; expected a topic for each agent",
+                    cloud.name, other.name
                 ));
             }
         }
+        agents.push(agent);
     }
-    Ok(agents)
+    Ok((joined, agents))
 }
 
-fn one(bags: &[Box<dyn Bag>], name: &str, map: &AgentMap) -> Result<Agent, String> {
-    let place = bag_of(bags, map)?;
-    let bag = bags[place].as_ref();
-    let clouds = map
-        .clouds
-        .iter()
-        .map(|cloud| topic(bag, "clouds", cloud, "a PointCloud2", |kind| kind == Kind::PointCloud2));
+/// Whether another agent has the clouds of a topic, of a file that both have.
+fn is_others(files: &[Rc<dyn Bag>], joined: &Joined, cloud: &Topic, agent: &Agent, other: &Agent) -> bool {
+    let [own, its] = [agent, other].map(|agent| &joined.files[agent.bag]);
+    let mut both = own.iter().filter(|file| its.contains(file));
+    other.clouds.iter().any(|topic| topic.name == cloud.name)
+        && both.any(|file| has(files[*file].as_ref(), &cloud.name))
+}
+
+/// Where an agent's topics are looked for.
+struct Source<'a> {
+    files: &'a [Rc<dyn Bag>],
+    joined: &'a Joined,
+    bag: usize,
+}
+
+fn one(source: &Source, name: &str, map: &AgentMap) -> Result<Agent, String> {
+    let clouds = map.clouds.iter().map(|cloud| {
+        topic(source, "clouds", cloud, "a PointCloud2", |kind| {
+            kind == Kind::PointCloud2
+        })
+    });
     let clouds: Vec<Topic> = clouds.collect::<Result<_, _>>()?;
     let optional = |field, wanted: &Option<String>, what, fits: fn(Kind) -> bool| {
         wanted
             .as_ref()
-            .map(|wanted| topic(bag, field, wanted, what, fits))
+            .map(|wanted| topic(source, field, wanted, what, fits))
             .transpose()
     };
     let pose = match &map.pose {
         PoseSource::Topic(wanted) => Some(topic(
-            bag,
+            source,
             "pose",
             wanted,
             "`tf`, or a topic of Odometry, PoseStamped, PoseWithCovarianceStamped or NavSatFix",
@@ -115,7 +195,7 @@ fn one(bags: &[Box<dyn Bag>], name: &str, map: &AgentMap) -> Result<Agent, Strin
     };
     Ok(Agent {
         name: name.into(),
-        bag: place,
+        bag: source.bag,
         clouds,
         pose,
         imu: optional("imu", &map.imu, "an Imu", |kind| kind == Kind::Imu)?,
@@ -142,27 +222,31 @@ fn one(bags: &[Box<dyn Bag>], name: &str, map: &AgentMap) -> Result<Agent, Strin
     })
 }
 
-fn bag_of(bags: &[Box<dyn Bag>], map: &AgentMap) -> Result<usize, String> {
-    let has = || listed(bags.iter().map(|bag| bag.path()));
-    match (&map.bag, bags) {
-        (None, [_]) => Ok(0),
-        (None, _) => {
-            let holds = |bag: &dyn Bag| bag.connections().iter().any(|c| c.topic == map.clouds[0]);
-            let holders: Vec<usize> = (0..bags.len()).filter(|place| holds(bags[*place].as_ref())).collect();
-            match holders[..] {
-                [only] => Ok(only),
-                _ => Err(format!(
-                    "bag: {} of the bags have the topic `{}`; name one of {}",
-                    holders.len(),
-                    map.clouds[0].escape_debug(),
-                    has()
-                )),
+/// The files of an agent, rising.
+fn files_of(files: &[Rc<dyn Bag>], map: &AgentMap) -> Result<Vec<usize>, String> {
+    let paths: Vec<&Path> = files.iter().map(|bag| bag.path()).collect();
+    if !map.bag.is_empty() {
+        let mut found = BTreeSet::new();
+        for wanted in &map.bag {
+            if !found.insert(named(&paths, wanted)?) {
+                return Err(format!(
+                    "bag: `{}` is there twice; expected each bag once",
+                    wanted.display()
+                ));
             }
         }
-        (Some(wanted), _) => {
-            let paths: Vec<&Path> = bags.iter().map(|bag| bag.path()).collect();
-            named(&paths, wanted)
-        }
+        return Ok(found.into_iter().collect());
+    }
+    let clouds = &map.clouds[0];
+    let holders = (0..files.len()).filter(|file| files.len() == 1 || has(files[*file].as_ref(), clouds));
+    let holders: Vec<usize> = holders.collect();
+    match holders.len() {
+        1 => Ok(holders),
+        number => Err(format!(
+            "bag: {number} of the bags have the topic `{}`; name one of {}",
+            clouds.escape_debug(),
+            listed(paths.into_iter())
+        )),
     }
 }
 
@@ -201,26 +285,41 @@ fn named(bags: &[&Path], wanted: &Path) -> Result<usize, String> {
     }
 }
 
-fn topic(bag: &dyn Bag, field: &str, wanted: &str, what: &str, fits: impl Fn(Kind) -> bool) -> Result<Topic, String> {
+/// What to write so that files of no other agent are read as one with those of a bag, where a file fits.
+pub fn with_others(
+    files: &[Rc<dyn Bag>],
+    joined: &Joined,
+    bag: usize,
+    fits: impl Fn(&dyn Bag) -> bool,
+) -> Option<String> {
+    let paths: Vec<&Path> = files.iter().map(|bag| bag.path()).collect();
+    let other = joined.unused.iter().find(|file| fits(files[**file].as_ref()))?;
+    let short = |file: &usize| shortest(&paths, paths[*file]).display().to_string();
+    let list: Vec<String> = joined.files[bag].iter().chain([other]).map(short).collect();
+    Some(format!(
+        "`{}` has such: if both are of this agent and of one clock, write `bag: [{}]`",
+        paths[*other].display(),
+        list.join(", ")
+    ))
+}
+
+fn topic(source: &Source, field: &str, wanted: &str, what: &str, fits: impl Fn(Kind) -> bool) -> Result<Topic, String> {
+    let Source { files, joined, bag } = source;
+    let whole = joined.bags[*bag].as_ref();
     let bare = |topic: &str| topic.trim_start_matches('/').to_string();
-    let found = bag.connections().iter().enumerate();
-    let mut named = found
-        .filter(|(_, connection)| bare(&connection.topic) == bare(wanted))
-        .peekable();
-    let wanted = wanted.escape_debug();
+    let is_wanted = |topic: &str| bare(topic) == bare(wanted);
+    let found = whole.connections().iter().enumerate();
+    let mut named = found.filter(|(_, connection)| is_wanted(&connection.topic)).peekable();
+    let shown = wanted.escape_debug();
     if named.peek().is_none() {
-        let mut has: Vec<String> = bag
-            .connections()
-            .iter()
-            .filter(|connection| Kind::named(&connection.kind).is_some_and(&fits))
-            .map(|connection| format!("`{}`", connection.topic.escape_debug()))
-            .collect();
-        has.sort();
-        has.truncate(12);
-        let has = if has.is_empty() { "none".into() } else { has.join(", ") };
-        let path = bag.path().display();
+        let paths: Vec<&Path> = joined.files[*bag].iter().map(|file| files[*file].path()).collect();
+        let other = |bag: &dyn Bag| bag.connections().iter().any(|found| is_wanted(&found.topic));
+        let other = with_others(files, joined, *bag, other).map_or(String::new(), |other| format!("; {other}"));
+        let commands = shell::words(&paths);
         return Err(format!(
-            "{field}: `{path}` has no topic `{wanted}`; of the right type it has {has}; `realo info {path}` lists all"
+            "{field}: {} has no topic `{shown}`{other}; of the right type it has {}; `realo info {commands}` lists all",
+            listed(paths.iter().copied()),
+            of_type(whole, &fits),
         ));
     }
     let mut types = Vec::new();
@@ -229,7 +328,7 @@ fn topic(bag: &dyn Bag, field: &str, wanted: &str, what: &str, fits: impl Fn(Kin
             Some(kind) => {
                 if let Encoding::Other(encoding) = &found.encoding {
                     return Err(format!(
-                        "{field}: `{wanted}` is serialised as `{}`, expected cdr or ros1; convert the bag with `ros2 bag convert`",
+                        "{field}: `{shown}` is serialised as `{}`, expected cdr or ros1; convert the bag with `ros2 bag convert`",
                         encoding.escape_debug()
                     ));
                 }
@@ -243,9 +342,26 @@ fn topic(bag: &dyn Bag, field: &str, wanted: &str, what: &str, fits: impl Fn(Kin
         }
     }
     Err(format!(
-        "{field}: expected {what}, found `{wanted}` of type {}",
+        "{field}: expected {what}, found `{shown}` of type {}",
         types.join(" and ")
     ))
+}
+
+/// Topics of a bag whose type fits, in words.
+fn of_type(bag: &dyn Bag, fits: impl Fn(Kind) -> bool) -> String {
+    let fitting = bag
+        .connections()
+        .iter()
+        .filter(|found| Kind::named(&found.kind).is_some_and(&fits));
+    let mut names: Vec<String> = fitting
+        .map(|found| format!("`{}`", found.topic.escape_debug()))
+        .collect();
+    names.sort();
+    names.truncate(12);
+    match names.is_empty() {
+        true => "none".into(),
+        false => names.join(", "),
+    }
 }
 
 #[cfg(test)]

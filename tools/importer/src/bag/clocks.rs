@@ -50,7 +50,7 @@ pub fn joined(import: &Import, small: &Small) -> Result<Clocks, ImportError> {
     let span = |agent: usize| {
         let heads = &small.agents[agent].heads[0].stamps;
         let first = heads.first().map_or(0, |[stamp, _]| *stamp);
-        let bag = import.bags[import.agents[agent].bag].span().unwrap_or_default();
+        let bag = import.joined.bags[import.agents[agent].bag].span().unwrap_or_default();
         [first, first.saturating_add(bag[1].saturating_sub(bag[0]))]
     };
     let spans: Vec<[Nanos; 2]> = (0..import.agents.len()).map(span).collect();
@@ -117,7 +117,7 @@ fn have_time_in_common(import: &Import, spans: &[[Nanos; 2]], agents: &[AgentClo
                     to_seconds(last)
                 )
             });
-            let path: &Path = import.bags[import.agents[place].bag].path();
+            let path: &Path = import.joined.bags[import.agents[place].bag].path();
             let reason = format!(
                 "expected agents with a time in common; {a}, {b}; give `offset` (s) of one of them in the map file, or `clock: log`"
             );
@@ -149,7 +149,7 @@ fn of_bags(
     words: &mut Vec<String>,
     unused: &mut Vec<String>,
 ) -> Result<Vec<Option<Nanos>>, ImportError> {
-    let path = |bag: usize| import.bags[bag].path();
+    let path = |bag: usize| import.joined.bags[bag].path();
     let (mut references, mut joined) = (Vec::new(), Vec::new());
     for (bag, said) in small.bags.iter().enumerate() {
         // What the map file says of all its agents needs no messages.
@@ -192,7 +192,7 @@ fn say_offsets(
     composed: &[Option<Nanos>],
     words: &mut Vec<String>,
 ) {
-    let path = |bag: usize| import.bags[bag].path();
+    let path = |bag: usize| import.joined.bags[bag].path();
     let first = path(0).display();
     let is_back = given(import, 0).is_none() && references[0].is_none() && composed[0].is_some();
     for (bag, offset) in composed.iter().enumerate() {

@@ -41,7 +41,7 @@ pub fn stamp_of(clock: StampClock, header: Nanos, log_time: Nanos) -> Nanos {
 
 /// Looks at the first clouds of a topic.
 pub fn heads(import: &Import, agent: &Agent, topic: &Topic) -> Result<Heads, ImportError> {
-    let bag = &import.bags[agent.bag];
+    let bag = &import.joined.bags[agent.bag];
     let connection = &bag.connections()[topic.connection];
     let mut messages = bag.messages(&BTreeSet::from([topic.connection]))?;
     let mut looked = Vec::new();

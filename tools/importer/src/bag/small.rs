@@ -139,10 +139,10 @@ pub fn read(import: &Import, report: &mut dyn FnMut(&'static str, u64, u64)) -> 
         faults: Counted::default(),
         unstamped: BTreeMap::new(),
     };
-    let all = (0..import.bags.len()).flat_map(|bag| wanted(import, bag));
+    let all = (0..import.joined.bags.len()).flat_map(|bag| wanted(import, bag));
     let all: u64 = all.map(|(_, count)| count).sum();
     let mut done = 0;
-    for (place, bag) in import.bags.iter().enumerate() {
+    for (place, bag) in import.joined.bags.iter().enumerate() {
         small.bags.push(BagSmall::default());
         let wanted: BTreeSet<usize> = wanted(import, place).map(|(connection, _)| connection).collect();
         let mut messages = bag.messages(&wanted)?;
@@ -168,7 +168,7 @@ pub fn read(import: &Import, report: &mut dyn FnMut(&'static str, u64, u64)) -> 
 /// Connections that are read whole, with how many messages each has.
 fn wanted(import: &Import, bag: usize) -> impl Iterator<Item = (usize, u64)> {
     let agents = move || import.agents.iter().filter(move |agent| agent.bag == bag);
-    let connections = import.bags[bag].connections().iter().enumerate();
+    let connections = import.joined.bags[bag].connections().iter().enumerate();
     connections.filter_map(move |(place, connection)| {
         let is_small = match Kind::named(&connection.kind) {
             Some(Kind::PointCloud2) => false,
@@ -176,7 +176,7 @@ fn wanted(import: &Import, bag: usize) -> impl Iterator<Item = (usize, u64)> {
             _ => {
                 let is_used = agents().flat_map(Agent::small).any(|topic| topic.connection == place);
                 // Whatever both bags recorded compares their clocks.
-                is_used || (import.bags.len() > 1 && is_in_all(import, connection))
+                is_used || (import.joined.bags.len() > 1 && is_in_all(import, connection))
             }
         };
         is_small.then_some((place, connection.messages))
@@ -192,14 +192,16 @@ fn is_in_all(import: &Import, connection: &Connection) -> bool {
             .iter()
             .any(|other| other.topic == connection.topic && other.kind == connection.kind)
     };
-    !is_image && import.bags.iter().all(|bag| has(bag.as_ref()))
+    !is_image && import.joined.bags.iter().all(|bag| has(bag.as_ref()))
 }
 
 impl Small {
     fn take(&mut self, import: &Import, bag: usize, connection: &Connection, message: &Message) -> Result<(), String> {
         let known = &mut self.bags[bag];
         // Each recorder writes static transforms when it starts, so their log times say nothing of clocks.
-        if import.bags.len() > 1 && !is_static(&connection.topic) {
+        // What a file says that two bags share says nothing of their clocks either.
+        let is_shared = import.joined.shared[bag].contains(&message.connection);
+        if import.joined.bags.len() > 1 && !is_shared && !is_static(&connection.topic) {
             known.see(&connection.topic, message);
         }
         let Some(kind) = Kind::named(&connection.kind) else {

@@ -86,7 +86,7 @@ impl<'a> Sweeps<'a> {
             heads,
             clock,
             height,
-            messages: import.bags[agent.bag].messages(&wanted)?,
+            messages: import.joined.bags[agent.bag].messages(&wanted)?,
             has_ended: false,
             waiting: VecDeque::new(),
             others: agent.clouds.iter().map(|_| VecDeque::new()).collect(),
@@ -129,7 +129,7 @@ impl<'a> Sweeps<'a> {
             .iter()
             .position(|topic| topic.connection == message.connection);
         let topic = topic.expect("only topics of clouds are read");
-        let connection = &self.import.bags[self.agent.bag].connections()[message.connection];
+        let connection = &self.import.joined.bags[self.agent.bag].connections()[message.connection];
         let read = connection
             .reader_of(&message)
             .and_then(|mut input| CloudReader::read(&mut input))

@@ -3,13 +3,14 @@
 use std::collections::BTreeMap;
 
 use nalgebra::{Isometry3, Matrix6, Translation3, UnitQuaternion, Vector3};
+use realo_bags::Bag;
 use realo_bags::map_file::{PoseSource, way};
 use realo_bags::messages::{Attitude, Fix, Kind, Pose};
 use realo_logs::{MapOrigin, bare};
 use realo_schemas::geometry::interpolate;
 use realo_schemas::{Nanos, to_millis, to_seconds};
 
-use super::agents::{Agent, Topic};
+use super::agents::{Agent, Topic, with_others};
 use super::small::{At, BagSmall, Small};
 use super::{Counted, Import};
 use crate::ImportError;
@@ -141,8 +142,11 @@ pub fn track(
     let agent = &import.agents[place];
     let bag = &small.bags[agent.bag];
     let wrong = |reason: String| {
-        let path = import.bags[agent.bag].path();
-        ImportError::content(path, format!("agent `{}`: {reason}", agent.name))
+        let path = import.joined.bags[agent.bag].path();
+        ImportError::content(
+            path,
+            format!("agent `{}`: {reason}{}", agent.name, elsewhere(import, agent)),
+        )
     };
     let ours = &small.agents[place];
     let track = match (&agent.map.pose, &agent.pose) {
@@ -159,6 +163,19 @@ pub fn track(
         true => Err(wrong(format!("expected poses, found none in {}", track.words))),
         false => Ok(track),
     }
+}
+
+/// Where poses may be instead: in a file that no agent has.
+fn elsewhere(import: &Import, agent: &Agent) -> String {
+    let has_poses = |bag: &dyn Bag| {
+        let kinds = bag
+            .connections()
+            .iter()
+            .filter_map(|connection| Kind::named(&connection.kind));
+        kinds.into_iter().any(|kind| kind == Kind::Transforms || kind.is_pose())
+    };
+    with_others(&import.files, &import.joined, agent.bag, has_poses)
+        .map_or(String::new(), |other| format!("; or are they in another file? {other}"))
 }
 
 /// Poses of a topic, in the world and of the agent's frame.

@@ -14,6 +14,7 @@ const AT_ZERO: f64 = 0.1;
 /// A line for each.
 pub fn warnings(import: &Import, small: &Small, tracks: &[Track], readers: &[Sweeps]) -> Vec<String> {
     let mut lines: Vec<String> = worlds(import, tracks).into_iter().collect();
+    lines.extend(unused(import));
     for (agent, track) in import.agents.iter().zip(tracks) {
         let (count, metres) = track.contradicted;
         if count > 0 {
@@ -53,6 +54,18 @@ pub fn warnings(import: &Import, small: &Small, tracks: &[Track], readers: &[Swe
         }
     }
     lines
+}
+
+/// Files of which no agent takes anything; of an import of all agents.
+fn unused(import: &Import) -> Vec<String> {
+    let unused = import.joined.unused.iter().filter(|_| import.is_whole);
+    let line = |file: &usize| {
+        format!(
+            "no agent takes anything of `{}`; `bag: [A, B]` of an agent in the map file reads it as one with its own bag",
+            import.files[*file].path().display()
+        )
+    };
+    unused.map(line).collect()
 }
 
 /// Agents whose poses count from where each of them was switched on are in no common world.

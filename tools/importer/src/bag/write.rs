@@ -115,7 +115,7 @@ fn state(
     faults: &mut Counted,
 ) -> Result<State, ImportError> {
     let agent = &import.agents[place];
-    let path = import.bags[agent.bag].path();
+    let path = import.joined.bags[agent.bag].path();
     let [truth, detections] =
         [&agent.truth, &agent.detections].map(|topic| topic.as_ref().map(|topic| topic.name.clone()));
     let ours = &mut small.agents[place];
@@ -190,7 +190,7 @@ fn info(import: &Import, small: &Small, states: &[State], origin: Option<[f64; 3
     };
     let agents = import.agents.iter().enumerate().map(agent).collect();
     let names: Vec<String> = import
-        .bags
+        .files
         .iter()
         .map(|bag| {
             bag.path()
@@ -229,7 +229,7 @@ impl Writing<'_> {
     ) -> Result<(), ImportError> {
         let import = self.import;
         let messages = |agent: &Agent| {
-            let connections = import.bags[agent.bag].connections();
+            let connections = import.joined.bags[agent.bag].connections();
             let of = agent.clouds.iter().map(|topic| connections[topic.connection].messages);
             of.sum::<u64>()
         };
@@ -371,7 +371,7 @@ impl Writing<'_> {
             let reasons = faults.0.iter().map(|(reason, n)| format!("\n  {n} × {reason}"));
             let (name, reasons) = (&agent.name, reasons.collect::<String>());
             let reason = format!("agent `{name}`: expected sweeps, none is left:{reasons}");
-            return Err(ImportError::content(import.bags[agent.bag].path(), reason));
+            return Err(ImportError::content(import.joined.bags[agent.bag].path(), reason));
         }
         let levelled = |(agent, state): (&Agent, &State)| {
             let levelled = Levelled {
@@ -382,7 +382,7 @@ impl Writing<'_> {
         };
         log.levelled(import.agents.iter().zip(&states).map(levelled).collect());
         log.finish()?;
-        let bags = import.bags.iter();
+        let bags = import.files.iter();
         Ok(BagSummary {
             log: output.into(),
             bags: bags

@@ -11,6 +11,7 @@ use std::path::Path;
 use nalgebra::Isometry3;
 use realo_logs::track_of;
 
+pub use self::finding::is_number;
 use self::finding::{find, first_labels};
 pub use self::frame_file::FrameFile;
 use self::frame_file::Object;

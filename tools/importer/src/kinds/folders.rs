@@ -1,8 +1,10 @@
 //! Folders of data sets, as they are listed.
 
-use std::collections::BTreeSet;
+use std::cell::RefCell;
+use std::collections::{BTreeMap, BTreeSet};
 use std::fs;
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 
 use crate::ImportError;
 
@@ -15,16 +17,83 @@ pub struct Listed {
     pub folders: Vec<PathBuf>,
 }
 
-/// Lists a folder.
+/// What is called with the number of folders that were listed.
+type Look = Box<dyn FnMut(u64)>;
+
+/// What is known of folders while a data set is looked at.
+struct Known {
+    folders: BTreeMap<PathBuf, Rc<Listed>>,
+    /// How many were read.
+    read: u64,
+    look: Look,
+}
+
+thread_local! {
+    /// Of the innermost [`FolderMemory`] that is there: kinds look at the same folders one after another.
+    static KNOWN: RefCell<Option<Known>> = const { RefCell::new(None) };
+}
+
+/// While it lives, this thread reads each folder once: what kinds of data sets ask of it, and what the import then finds in it.
+#[must_use = "folders are forgotten where it is dropped"]
+pub struct FolderMemory {
+    is_outer: bool,
+}
+
+impl FolderMemory {
+    /// From now on; `look` is called with how many folders were read so far. Within another memory, that one goes on.
+    pub fn new(look: impl FnMut(u64) + 'static) -> Self {
+        KNOWN.with_borrow_mut(|known| {
+            let is_outer = known.is_none();
+            known.get_or_insert_with(|| Known {
+                folders: BTreeMap::new(),
+                read: 0,
+                look: Box::new(look),
+            });
+            FolderMemory { is_outer }
+        })
+    }
+
+    /// How many folders were read.
+    pub fn read(&self) -> u64 {
+        KNOWN.with_borrow(|known| known.as_ref().map_or(0, |known| known.read))
+    }
+}
+
+impl Drop for FolderMemory {
+    fn drop(&mut self) {
+        if self.is_outer {
+            KNOWN.set(None);
+        }
+    }
+}
+
+/// Lists a folder, as it was when it was read where a [`FolderMemory`] knows it.
 ///
 /// # Errors
 /// One that cannot be read.
-pub fn list(dir: &Path) -> Result<Listed, ImportError> {
+pub fn list(dir: &Path) -> Result<Rc<Listed>, ImportError> {
+    if let Some(listed) = KNOWN.with_borrow(|known| known.as_ref()?.folders.get(dir).cloned()) {
+        return Ok(listed);
+    }
+    let listed = Rc::new(read(dir)?);
+    KNOWN.with_borrow_mut(|known| {
+        if let Some(known) = known {
+            known.read += 1;
+            (known.look)(known.read);
+            known.folders.insert(dir.into(), listed.clone());
+        }
+    });
+    Ok(listed)
+}
+
+fn read(dir: &Path) -> Result<Listed, ImportError> {
     let mut listed = Listed::default();
     for entry in fs::read_dir(dir).map_err(ImportError::io(dir))? {
-        let path = entry.map_err(ImportError::io(dir))?.path();
+        let entry = entry.map_err(ImportError::io(dir))?;
+        let (path, kind) = (entry.path(), entry.file_type().map_err(ImportError::io(dir))?);
         let name = name_of(&path);
-        match path.is_dir() {
+        // Only of a link the system must be asked once more.
+        match kind.is_dir() || (kind.is_symlink() && path.is_dir()) {
             // `.git`, `__MACOSX` and the like.
             true if name.starts_with(['.', '_']) => {}
             true => listed.folders.push(path),

@@ -16,9 +16,12 @@ pub struct Job {
     assumed: Option<String>,
     /// What to try where it fails.
     hint: Option<String>,
+    /// What belongs to what was imported.
+    then: Option<Then>,
 }
 
 type Report<'a> = &'a mut dyn FnMut(&'static str, u64, u64);
+type Then = Box<dyn FnOnce(&mut Imported)>;
 type Run = Box<dyn FnOnce(Report) -> Result<Imported, ImportError>>;
 
 impl Job {
@@ -31,6 +34,15 @@ impl Job {
             run: Box::new(run),
             assumed: None,
             hint: None,
+            then: None,
+        }
+    }
+
+    /// With what is done once all is written.
+    pub(super) fn with(self, then: impl FnOnce(&mut Imported) + 'static) -> Self {
+        Job {
+            then: Some(Box::new(then)),
+            ..self
         }
     }
 
@@ -80,6 +92,9 @@ impl Job {
             Some(hint) => error.with_hint(hint),
             None => error,
         })?;
+        if let Some(then) = self.then {
+            then(&mut imported);
+        }
         if let (Imported::Scenes(scenes, _), Some(line)) = (&mut imported, self.assumed) {
             scenes
                 .iter_mut()

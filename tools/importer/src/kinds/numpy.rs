@@ -92,7 +92,7 @@ fn scenes(dir: &Path) -> Result<Vec<(PathBuf, Agents)>, ImportError> {
     let mut open = vec![(dir.to_path_buf(), 0)];
     while let Some((folder, depth)) = open.pop() {
         let mut agents = Agents::new();
-        for inner in list(&folder)?.folders {
+        for inner in list(&folder)?.folders.clone() {
             let frames = frames(&inner)?;
             match frames.is_empty() {
                 false => agents.push((inner, frames)),
@@ -111,7 +111,7 @@ fn scenes(dir: &Path) -> Result<Vec<(PathBuf, Agents)>, ImportError> {
 /// Names of sweeps by their numbers; a `.npz` has all, so it goes before a `.npy` of the same number.
 fn frames(agent: &Path) -> Result<BTreeMap<u64, String>, ImportError> {
     let mut frames = BTreeMap::new();
-    for name in list(agent)?.files {
+    for name in list(agent)?.files.clone() {
         let Some((stem, "npz" | "npy")) = name.rsplit_once('.') else {
             continue;
         };

@@ -3,8 +3,10 @@
 use std::fmt;
 use std::path::{Path, PathBuf};
 
+use realo_logs::shell;
+
 use super::folders::list;
-use super::{Importer, KINDS, Kind};
+use super::{FolderMemory, Importer, KINDS, Kind};
 use crate::ImportError;
 
 /// Which kinds a folder is, with why, and why it is not each of the others.
@@ -17,6 +19,7 @@ pub struct Seen {
 
 /// Looks at a folder.
 pub fn look_at(dir: &Path) -> Seen {
+    let _memory = FolderMemory::new(|_| {});
     let mut seen = Seen {
         fits: Vec::new(),
         others: Vec::new(),
@@ -165,7 +168,7 @@ fn hint(near: &[Near]) -> Option<String> {
 }
 
 fn command(kind: &Kind, path: &Path) -> String {
-    format!("`realo-lab import {} {} -o LOG`", kind.name, path.display())
+    format!("`realo-lab import {} {} -o LOG`", kind.name, shell::word(path))
 }
 
 /// Folders in a folder that are looked at, and data sets that are named.
@@ -231,5 +234,94 @@ impl fmt::Display for Seen {
         let fits = self.fits.iter().map(|found| line("it is", found));
         let others = self.others.iter().map(|found| line("it is not", found));
         f.write_str(&fits.chain(others).collect::<Vec<_>>().join("\n"))
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use std::cell::Cell;
+    use std::fs;
+    use std::rc::Rc;
+
+    use super::super::importer;
+    use super::*;
+
+    /// Folders of a tree with so many scenes of two agents.
+    fn tree(root: &Path, scenes: usize) -> u64 {
+        for scene in 0..scenes {
+            for agent in ["641", "650"] {
+                let folder = root.join(format!("train/2021_08_16_22_26_{scene:02}/{agent}"));
+                fs::create_dir_all(&folder).unwrap();
+                fs::write(
+                    folder.join("000068.yaml"),
+                    "lidar_pose: [0, 0, 2, 0, 0, 0]\nvehicles: {}\n",
+                )
+                .unwrap();
+                fs::write(folder.join("000068.pcd"), "").unwrap();
+            }
+        }
+        2 + 3 * scenes as u64
+    }
+
+    #[test]
+    fn a_data_set_is_listed_once_by_all_kinds_and_the_import_together() {
+        let dir = tempfile::tempdir().unwrap();
+        let all = tree(dir.path(), 5);
+        let reported = Rc::new(Cell::new(0));
+        let look = reported.clone();
+        let memory = FolderMemory::new(move |folders| {
+            assert_eq!(folders, look.get() + 1);
+            look.set(folders);
+        });
+        let seen = look_at(dir.path());
+        assert!(memory.read() <= all, "{}", memory.read());
+        assert_eq!(seen.only(dir.path()).unwrap().kind().name, "opv2v");
+        let opv2v = importer("opv2v").unwrap();
+        opv2v
+            .job(dir.path(), &dir.path().join("out"), &opv2v.kind().defaults())
+            .unwrap();
+        assert_eq!((memory.read(), reported.get()), (all, all));
+        // A kind that it is not, too.
+        let kitti = importer("kitti").unwrap();
+        assert!(
+            kitti
+                .job(dir.path(), &dir.path().join("out"), &kitti.kind().defaults())
+                .is_err()
+        );
+        assert_eq!(memory.read(), all);
+    }
+
+    #[test]
+    fn a_tree_that_is_no_data_set_is_listed_once() {
+        let dir = tempfile::tempdir().unwrap();
+        for folder in ["a/b/c", "d/e", "f"] {
+            fs::create_dir_all(dir.path().join(folder)).unwrap();
+        }
+        let memory = FolderMemory::new(|_| {});
+        assert!(look_at(dir.path()).only(dir.path()).is_err());
+        let opv2v = importer("opv2v").unwrap();
+        assert!(
+            opv2v
+                .job(dir.path(), &dir.path().join("out"), &opv2v.kind().defaults())
+                .is_err()
+        );
+        assert_eq!(memory.read(), 7);
+        drop(memory);
+        // Nothing is remembered any more.
+        tree(dir.path(), 1);
+        assert_eq!(look_at(dir.path()).only(dir.path()).unwrap().kind().name, "opv2v");
+    }
+
+    #[test]
+    fn commands_quote_their_paths() {
+        let dir = tempfile::tempdir().unwrap();
+        let root = dir.path().join("my data's");
+        tree(&root, 1);
+        let next = look_at(&root).next(&root);
+        let words = shlex::split(next.split('`').nth(1).unwrap()).unwrap();
+        assert_eq!(
+            words,
+            ["realo-lab", "import", "opv2v", root.to_str().unwrap(), "-o", "LOG"]
+        );
     }
 }

@@ -89,7 +89,7 @@ fn splits(dir: &Path) -> Result<Vec<PathBuf>, ImportError> {
     if is_split(dir) {
         return Ok(vec![dir.into()]);
     }
-    let mut found = list(dir)?.folders;
+    let mut found = list(dir)?.folders.clone();
     found.retain(|folder| is_split(folder));
     Ok(found)
 }
@@ -109,7 +109,7 @@ type Files = BTreeMap<Nanos, PathBuf>;
 
 /// Files of a folder by their times.
 fn files(folder: &Path, end: &str) -> Result<Files, ImportError> {
-    let names = list(folder)?.files;
+    let names = list(folder)?.files.clone();
     let names = names
         .into_iter()
         .filter(|name| name.rsplit_once('.').is_some_and(|(_, found)| found == end));
@@ -121,7 +121,7 @@ fn files(folder: &Path, end: &str) -> Result<Files, ImportError> {
 /// The folder of labels: of the fused clouds where there is one, else the only one.
 fn labels_folder(split: &Path) -> Result<PathBuf, ImportError> {
     let dir = split.join(LABELS);
-    let folders = list(&dir)?.folders;
+    let folders = list(&dir)?.folders.clone();
     let fused = folders.iter().find(|folder| name_of(folder).ends_with(FUSED));
     match (fused, &folders[..]) {
         (Some(fused), _) => Ok(fused.clone()),
@@ -245,7 +245,7 @@ impl Layout for TumTrafLayout {
 
 /// LiDARs of a split with their clouds: each by itself, or where there are none, the fused ones.
 fn sensors(split: &Path) -> Result<Vec<(String, Files)>, ImportError> {
-    let folders = list(&split.join(CLOUDS))?.folders;
+    let folders = list(&split.join(CLOUDS))?.folders.clone();
     let (fused, single): (Vec<_>, Vec<_>) = folders.into_iter().partition(|folder| name_of(folder).ends_with(FUSED));
     let chosen = if single.is_empty() { fused } else { single };
     let read = |folder: PathBuf| Ok((name_of(&folder), files(&folder, "pcd")?));
@@ -302,7 +302,8 @@ fn nearest(clouds: &Files, stamp: Nanos) -> Option<(Nanos, &PathBuf)> {
 /// Points of a cloud, with the times of Ouster's drivers as offsets from its stamp.
 fn points(cloud: &Path, options: &Options) -> Result<Points, ImportError> {
     let mut points = read_points(cloud)?;
-    if let Some(t) = points.t.take() {
+    // Counts of another field than Ouster's have no unit, and are refused.
+    if let Some(t) = points.t.take_if(|_| !points.t_is_timestamp) {
         if let Some(other) = t.iter().find(|t| !(0.0..1e9).contains(*t)) {
             let reason =
                 format!("field `t`: expected ns from the start of the sweep, from 0 to less than 10⁹, found {other}");

@@ -74,14 +74,11 @@ pub fn marks(dir: &Path) -> Option<String> {
     let sequences = sequences(dir).ok()?;
     let first = sequences.first()?;
     let name = |what: &str| format!("there is `{}`", first.join(what).display());
-    let state = list(first)
-        .ok()?
-        .folders
-        .into_iter()
-        .find(|folder| name_of(folder).ends_with(STATE));
+    let listed = list(first).ok()?;
+    let state = listed.folders.iter().find(|folder| name_of(folder).ends_with(STATE));
     match first.join(TIMES).is_file() {
         true => Some(name(TIMES)),
-        false => state.map(|state| name(&name_of(&state))),
+        false => state.map(|state| name(&name_of(state))),
     }
 }
 
@@ -93,7 +90,7 @@ fn sequences(dir: &Path) -> Result<Vec<PathBuf>, ImportError> {
         let is_one = listed.files.contains(TIMES) || listed.folders.iter().any(|inner| name_of(inner).ends_with(STATE));
         match is_one {
             true => found.push(folder),
-            false if depth < 2 => open.extend(listed.folders.into_iter().map(|inner| (inner, depth + 1))),
+            false if depth < 2 => open.extend(listed.folders.iter().map(|inner| (inner.clone(), depth + 1))),
             false => {}
         }
     }

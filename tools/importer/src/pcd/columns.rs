@@ -1,6 +1,7 @@
 //! The fields of clouds, by their names.
 
 use super::head::Field;
+use super::stamps::Stamps;
 use super::{Intensities, IntensityFrom, Points};
 
 /// Fields of intensities, by what drivers and programs call them; the first that there is counts.
@@ -192,17 +193,27 @@ pub(super) fn columns(fields: &[Field], values: &impl Values) -> Result<Points, 
     let [x, y, z] = ["x", "y", "z"].map(|name| need(name).map(|(field, _)| values.column(field)));
     let (intensity, intensity_from) = intensities(fields, values)?;
     let timestamp = match find("timestamp")? {
-        Some((field, "float64")) => Some(values.column(field)),
-        Some((_, kind)) => {
-            return Err(format!(
-                "field `timestamp`: expected TYPE F SIZE 8, s since 1970, found {kind}; save it as doubles or leave it out"
-            ));
+        Some((field, "float64")) => Some(Stamps::Seconds(values.column(field))),
+        Some((_, "float32")) => {
+            return Err(
+                "field `timestamp`: expected TYPE F SIZE 8, s since 1970, or whole numbers, found float32, which holds such times to two \
+                 minutes only; save it as doubles or leave it out"
+                    .into(),
+            );
         }
+        Some((field, _)) => Some(Stamps::of_whole(values.column(field))),
         None => None,
     };
     // A `t` of another type is no time of a driver.
     let mut of_drivers = fields.iter().filter(|field| field.name == "t" && field.count == 1);
     let t = of_drivers.next().filter(|field| matches!(field.kind, 'I' | 'U'));
+    let t = t.map(|field| values.column(field));
+    let t_is_timestamp = t.is_none() && matches!(timestamp, Some(Stamps::Counts(_)));
+    let (timestamp, counts) = match timestamp {
+        Some(Stamps::Seconds(seconds)) => (Some(seconds), None),
+        Some(Stamps::Counts(counts)) => (None, Some(counts)),
+        None => (None, None),
+    };
     Ok(Points {
         x: x?,
         y: y?,
@@ -210,7 +221,8 @@ pub(super) fn columns(fields: &[Field], values: &impl Values) -> Result<Points, 
         intensity,
         intensity_from,
         timestamp,
-        t: t.map(|field| values.column(field)),
+        t: t.or(counts),
+        t_is_timestamp,
         offset_ns: match find("offset_ns")? {
             Some((field, "int32")) => Some(offsets(values.column(field))?),
             Some((_, kind)) => {

@@ -1,5 +1,6 @@
 //! Bags that are written here by hand, in every container and compression, imported, and read back.
 
+mod apart;
 mod bad_input;
 mod containers;
 mod fields;

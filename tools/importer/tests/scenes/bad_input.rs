@@ -181,6 +181,7 @@ fn a_folder_of_another_kind_is_named_with_the_command_that_takes_it() {
         ("bag", &opv2v, "opv2v"),
         ("opv2v", &v2x_real, "v2x-real"),
         ("cooperscene", &v2x_real, "v2x-real"),
+        ("cooperscene", &opv2v, "opv2v"),
         ("opv2v", &kitti.join("training"), "kitti"),
         ("numpy", &kitti.join("training"), "kitti"),
         // One folder above the root, which scenes of the other layout could be in.

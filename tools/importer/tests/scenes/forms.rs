@@ -572,6 +572,41 @@ fn times_of_points_count_from_the_first_of_their_sweep() {
 }
 
 #[test]
+fn whole_numbers_of_time_are_read_by_their_unit() {
+    // ns and µs since 1970, and counts of µs and of ns from the begin of the sweep.
+    for (begin, step, kind, words) in [
+        (1_700_000_000_000_000_000_u64, 10_000_u64, ("8", "U"), "(s)"),
+        (1_700_000_000_000_000, 10, ("8", "I"), "(s)"),
+        (0, 10, ("4", "U"), "(µs)"),
+        (0, 10_000, ("4", "U"), "(ns)"),
+    ] {
+        let made = Made::new(&OPV2V);
+        let head = [
+            "x y z intensity timestamp",
+            &format!("4 4 4 4 {}", kind.0),
+            &format!("F F F F {}", kind.1),
+        ];
+        rewrite(&made, head, |index, bytes| {
+            let time = begin + step * index as u64;
+            let wide = time.to_le_bytes();
+            [bytes, if kind.0 == "8" { &wide[..] } else { &wide[..4] }].concat()
+        });
+        let summary = made.import(&[]).unwrap().to_string();
+        let line = format!("times of points of `cav_641`: the field `timestamp` {words}, from the first of each sweep");
+        assert!(summary.contains(&line), "{summary}");
+        let (_, found) = read(&made.out());
+        for sweep in found.values() {
+            let times = &sweep.cloud.as_ref().unwrap().time;
+            let last = 10_000 * (times.len() as i32 - 1);
+            assert!(
+                times[0] == 0 && (times[times.len() - 1] - last).abs() < 1000,
+                "{last}: {summary}"
+            );
+        }
+    }
+}
+
+#[test]
 fn clouds_of_ply_are_read_as_those_of_pcd() {
     let made = Made::new(&OPV2V);
     made.import(&[]).unwrap();

@@ -6,6 +6,7 @@ mod forms;
 mod kitti;
 mod layouts;
 mod numpy;
+mod radio;
 mod reading;
 mod round_trip;
 mod tumtraf;

@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use eyre::{Result, bail};
 use realo_cli::{Outcome, Progress};
 use realo_exporter::{RrdCounts, RrdRequest, export_rrd};
+use realo_logs::shell;
 
 /// The recording in the folder of a run of one log and ego.
 const RECORDING: &str = "recording.mcap";
@@ -74,18 +75,46 @@ pub fn main(args: &RrdArgs) -> Result<Outcome> {
     })
 }
 
+/// Logs that are in the folder of a path, in words.
+fn logs_near(path: &Path) -> String {
+    const NAMED: usize = 5;
+    let folder = path.parent().filter(|folder| !folder.as_os_str().is_empty());
+    let folder = folder.unwrap_or(Path::new("."));
+    let Ok(entries) = std::fs::read_dir(folder) else {
+        return format!("; there is no folder `{}` either", folder.display());
+    };
+    let paths = entries.flatten().map(|entry| entry.path());
+    let is_log = |path: &PathBuf| path.extension().is_some_and(|extension| extension == "mcap");
+    let mut logs: Vec<String> = paths
+        .filter(is_log)
+        .map(|path| format!("`{}`", path.display()))
+        .collect();
+    logs.sort();
+    let more = if logs.len() > NAMED { ", …" } else { "" };
+    logs.truncate(NAMED);
+    match logs.is_empty() {
+        true => format!("; `{}` has no logs", folder.display()),
+        false => format!("; there are {}{more}", logs.join(", ")),
+    }
+}
+
 /// The file that is meant by a file, or by the folder of a run.
 pub fn recording_of(run: &Path) -> Result<PathBuf> {
     if run.is_file() {
         return Ok(run.into());
     }
     if !run.exists() {
-        bail!("{}: no such file or folder; correct the path", run.display());
+        bail!(
+            "{}: no such file or folder; expected a log (`.mcap`), or the folder of a run; correct the path{}",
+            run.display(),
+            logs_near(run)
+        );
     }
     if run.join("metadata.yaml").is_file() {
         let path = run.display();
         bail!(
-            "{path}: found the folder of a bag of ROS 2, expected a log or a recording: make a log of it by `realo-lab import bag {path} -o my.mcap`"
+            "{path}: found the folder of a bag of ROS 2, expected a log or a recording: make a log of it by `realo-lab import bag {} -o my.mcap`",
+            shell::word(run)
         );
     }
     let mut found = Vec::new();

@@ -180,7 +180,8 @@ pub fn precomputed(
     if let Some(missing) = run.collaborators.iter().find(|agent| !has(agent)) {
         bail!(
             "{path} has no precomputed messages of {missing}, which collaborates with {} too: precompute these as well \
-             (`realo precompute {path} … --agent {missing}`), or choose among those that it has: --agents {},{}",
+             (`realo precompute {} … --agent {missing}`), or choose among those that it has: --agents {},{}",
+            realo_logs::shell::word(log.path()),
             run.ego,
             run.ego,
             known.agents.join(",")

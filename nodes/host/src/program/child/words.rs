@@ -1,13 +1,45 @@
 //! Last words of a program.
 
 use std::io::{Read, Write};
-use std::process::ExitStatus;
+use std::os::unix::process::ExitStatusExt;
+use std::process::{Command, ExitStatus};
 use std::sync::Mutex;
 use std::time::{Duration, Instant};
 
 use super::relay::Relay;
 use super::{Child, QUOTED};
 use crate::virtual_time::is_ending;
+
+/// Lines of standard error that are quoted at most.
+const LAST_LINES: usize = 12;
+/// Letters of a command line that are shown.
+const SHOWN: usize = 160;
+/// Where else to look.
+pub(super) const TABLE: &str = "docs/reference/plugins.md, \"When something stops you\", says what to do";
+
+/// A command as it was started, as far as a message shows it.
+pub(super) fn command_line(command: &Command) -> String {
+    let words = std::iter::once(command.get_program()).chain(command.get_args());
+    let words: Vec<_> = words.map(|word| word.to_string_lossy()).collect();
+    let line = shlex::try_join(words.iter().map(AsRef::as_ref)).unwrap_or_else(|_| words.join(" "));
+    match line.char_indices().nth(SHOWN) {
+        Some((end, _)) => format!("{} …", &line[..end]),
+        None => line,
+    }
+}
+
+/// What to do about a program that ended in the middle of a run.
+pub(super) fn advice(status: ExitStatus) -> &'static str {
+    match (status.signal(), status.code()) {
+        (Some(9), _) | (_, Some(137)) => {
+            "it was killed: if the system did it for its memory (`dmesg` says so), give it smaller inputs or more memory"
+        }
+        (Some(_), _) | (_, Some(128..)) => {
+            "it crashed in compiled code: PYTHONFAULTHANDLER=1 shows where in a program in Python, a debugger in others"
+        }
+        _ => "mend what its last lines name; docs/reference/plugins.md, \"When something stops you\", has more",
+    }
+}
 
 impl Child {
     /// How the program ended, if it does so in time.
@@ -56,14 +88,20 @@ impl Child {
         }
         let said = self.said.lock().unwrap_or_else(|poisoned| poisoned.into_inner());
         let said = String::from_utf8_lossy(&said);
-        let said = match self.registration.name {
+        let lines: Vec<&str> = said.trim().lines().collect();
+        let last = match self.registration.name {
             // Whoever starts it sees all of it above.
-            "" => said.trim().lines().next_back().unwrap_or_default(),
-            _ => said.trim(),
+            "" => &lines[lines.len().saturating_sub(1)..],
+            _ => &lines[lines.len().saturating_sub(LAST_LINES)..],
         };
-        match said {
-            "" => format!("{known}; it said nothing on standard error"),
-            said => format!("{known}; it said on standard error: {said}"),
+        let known = format!("program `{}`: {known}", self.program);
+        match last {
+            [] => format!("{known}; it said nothing on standard error"),
+            [line] => format!("{known}; it said on standard error: {line}"),
+            lines => format!(
+                "{known}; it said on standard error, at last:\n    {}",
+                lines.join("\n    ")
+            ),
         }
     }
 }

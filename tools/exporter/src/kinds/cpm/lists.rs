@@ -1,10 +1,11 @@
 //! Lists of boxes of a log or of the recording of a run, with where their agents are.
 
-use std::collections::{BTreeMap, BTreeSet};
+use std::collections::{BTreeMap, BTreeSet, VecDeque};
 use std::path::Path;
 
 use nalgebra::Isometry3;
-use realo_logs::{AgentKind, Log, MAX_GAP, McapFile, Schema, Stream, boxes, pose_track};
+use realo_logs::cdr::CdrReader;
+use realo_logs::{AgentKind, BoxesInfo, Log, MAX_GAP, McapFile, Schema, Stream, boxes, pose_track};
 use realo_schemas::geometry::PoseTrack;
 use realo_schemas::{Box3, Boxes, Nanos};
 
@@ -150,8 +151,16 @@ fn streams(log: &Log, boxes: BoxSource) -> Result<[Stream; 2], ExportError> {
     }
 }
 
-/// Calls `each` with all lists in the order of time, and `report` with lists that were read, and all. Returns how many have no
-/// companion although their agent has some.
+/// What a file has of only one half: lists of boxes and their companions go together by agent and stamp.
+#[derive(Clone, Copy, Debug, Default, PartialEq, Eq)]
+pub struct Unpaired {
+    /// Lists without a companion, although their agent has some.
+    pub lists: u64,
+    /// Companions without a list.
+    pub companions: u64,
+}
+
+/// Calls `each` with all lists, mostly in the order of time, and `report` with lists that were read, and all.
 ///
 /// # Errors
 /// A file that cannot be read; boxes in another frame than their agent's body; why `each` failed.
@@ -161,7 +170,7 @@ pub fn each_list(
     options: &Options,
     report: Report,
     each: impl FnMut(List) -> Result<(), ExportError>,
-) -> Result<u64, ExportError> {
+) -> Result<Unpaired, ExportError> {
     match source {
         Source::Log(log) => each_of_log(log, agents, options, report, each),
         Source::Recording(file) => each_of_recording(file, agents, options, report, each),
@@ -175,7 +184,7 @@ fn each_of_log(
     options: &Options,
     report: Report,
     mut each: impl FnMut(List) -> Result<(), ExportError>,
-) -> Result<u64, ExportError> {
+) -> Result<Unpaired, ExportError> {
     let [of_boxes, of_info] = streams(log, options.boxes)?;
     let all = agents.names().flat_map(|name| [(name, of_boxes), (name, of_info)]);
     let wanted: Vec<(&str, Stream)> = all.filter(|(name, stream)| log.has(name, *stream)).collect();
@@ -184,29 +193,28 @@ fn each_of_log(
     report(0, all);
     let mut reader = log.read_all(&wanted)?;
     while let Some(entry) = reader.next()? {
-        if entry.stream == of_info {
-            if let Some(mut list) = open.companion(&entry.agent, entry.stamp()) {
-                let mut found = Boxes(std::mem::take(&mut list.boxes));
-                let info = entry.info(&mut found)?;
-                list.boxes = found.0;
-                each(list.completed(agents, info.seq, info.map_from_frame))?;
+        let paired = match entry.stream == of_info {
+            true => {
+                let (agent, stamp) = (entry.agent.to_string(), entry.stamp());
+                open.companion(&agent, stamp, entry)
             }
-            continue;
-        }
-        let list = List {
-            agent: entry.agent.to_string(),
-            stamp: entry.stamp(),
-            ready: entry.ready(),
-            seq: open.done,
-            map_from_body: None,
-            boxes: entry.boxes()?.0,
+            false => open.list(List {
+                agent: entry.agent.to_string(),
+                stamp: entry.stamp(),
+                ready: entry.ready(),
+                seq: open.done,
+                map_from_body: None,
+                boxes: entry.boxes()?.0,
+            }),
         };
-        if let Some(list) = open.list(list) {
-            each(list.completed(agents, u64::MAX, None))?;
-        }
         report(open.done, all);
+        let Some((mut list, info)) = paired else { continue };
+        let mut found = Boxes(std::mem::take(&mut list.boxes));
+        let info = info.map(|entry| entry.info(&mut found)).transpose()?;
+        list.boxes = found.0;
+        each(list.completed(agents, info))?;
     }
-    Ok(open.without())
+    Ok(open.unpaired())
 }
 
 /// A channel that is read: whose, and whether it has what boxes cannot say.
@@ -235,7 +243,7 @@ fn each_of_recording(
     options: &Options,
     report: Report,
     mut each: impl FnMut(List) -> Result<(), ExportError>,
-) -> Result<u64, ExportError> {
+) -> Result<Unpaired, ExportError> {
     let wanted = wanted(file, agents, options.boxes.topic());
     let with_info = wanted.values().filter(|(_, is_info)| *is_info);
     let mut open = Waiting::of(with_info.map(|(agent, _)| agent.as_str()));
@@ -254,99 +262,177 @@ fn each_of_recording(
                 format!("topic /{agent}/{}: {reason}", options.boxes.topic()),
             )
         };
-        if *is_info {
-            let Some((mut list, of)) = open.of_any_stamp(agent) else {
-                continue;
-            };
-            let mut found = Boxes(std::mem::take(&mut list.boxes));
-            let (stamp, info) = boxes::decode_info(raw.data(), &mut found).map_err(|error| wrong(error.to_string()))?;
-            list.boxes = found.0;
-            match stamp == of {
-                true => each(list.completed(agents, info.seq, info.map_from_frame))?,
-                false => open.without += 1,
+        let paired = match *is_info {
+            true => {
+                let header = CdrReader::new(raw.data()).and_then(|mut input| Ok(input.header()?.0));
+                open.companion(
+                    agent,
+                    header.map_err(|error| wrong(error.to_string()))?,
+                    raw.data().to_vec(),
+                )
             }
-            continue;
-        }
-        let (stamp, found) = boxes::decode(raw.data()).map_err(|error| wrong(error.to_string()))?;
-        let list = List {
-            agent: agent.clone(),
-            stamp,
-            ready: Nanos::try_from(raw.log_time).unwrap_or(Nanos::MAX),
-            seq: open.done,
-            map_from_body: None,
-            boxes: found.0,
+            false => {
+                let (stamp, found) = boxes::decode(raw.data()).map_err(|error| wrong(error.to_string()))?;
+                open.list(List {
+                    agent: agent.clone(),
+                    stamp,
+                    ready: Nanos::try_from(raw.log_time).unwrap_or(Nanos::MAX),
+                    seq: open.done,
+                    map_from_body: None,
+                    boxes: found.0,
+                })
+            }
         };
-        if let Some(list) = open.list(list) {
-            each(list.completed(agents, u64::MAX, None))?;
-        }
         report(open.done, all);
+        let Some((mut list, info)) = paired else { continue };
+        let mut found = Boxes(std::mem::take(&mut list.boxes));
+        let info = info
+            .map(|info| boxes::decode_info(&info, &mut found).map(|(_, info)| info))
+            .transpose();
+        let info = info.map_err(|error| wrong(error.to_string()))?;
+        list.boxes = found.0;
+        each(list.completed(agents, info))?;
     }
-    Ok(open.without())
+    Ok(open.unpaired())
 }
 
-/// Lists that wait for their companions.
-struct Waiting {
+/// So many of an agent wait for their other half; the one that waits for longest is given up then.
+const WAITING: usize = 256;
+
+/// Lists and companions that wait for each other.
+struct Waiting<I> {
     /// Agents that have companions.
     with_info: BTreeSet<String>,
-    lists: BTreeMap<String, List>,
+    lists: BTreeMap<String, VecDeque<List>>,
+    companions: BTreeMap<String, VecDeque<(Nanos, I)>>,
     /// Lists that were read.
     done: u64,
-    /// Those without a companion so far.
-    without: u64,
+    given_up: Unpaired,
 }
 
-impl Waiting {
+impl<I> Waiting<I> {
     fn of<'a>(with_info: impl Iterator<Item = &'a str>) -> Self {
         Waiting {
             with_info: with_info.map(String::from).collect(),
             lists: BTreeMap::new(),
+            companions: BTreeMap::new(),
             done: 0,
-            without: 0,
+            given_up: Unpaired::default(),
         }
     }
 
-    /// Takes a list; gives it back where no companion will come.
-    fn list(&mut self, list: List) -> Option<List> {
+    /// Takes a list; gives it back with its companion where that was there before, and without where none will come.
+    fn list(&mut self, list: List) -> Option<(List, Option<I>)> {
         self.done += 1;
         if !self.with_info.contains(&list.agent) {
-            return Some(list);
+            return Some((list, None));
         }
-        let before = self.lists.insert(list.agent.clone(), list);
-        self.without += u64::from(before.is_some());
+        let companions = self.companions.entry(list.agent.clone()).or_default();
+        if let Some(place) = companions.iter().position(|(stamp, _)| *stamp == list.stamp) {
+            return Some((list, companions.remove(place).map(|(_, info)| info)));
+        }
+        let lists = self.lists.entry(list.agent.clone()).or_default();
+        lists.push_back(list);
+        if lists.len() > WAITING {
+            lists.pop_front();
+            self.given_up.lists += 1;
+        }
         None
     }
 
-    /// The list of an agent that waits, with its stamp.
-    fn of_any_stamp(&mut self, agent: &str) -> Option<(List, Nanos)> {
-        let list = self.lists.remove(agent)?;
-        let stamp = list.stamp;
-        Some((list, stamp))
-    }
-
-    /// The list that a companion of this stamp belongs to.
-    fn companion(&mut self, agent: &str, stamp: Nanos) -> Option<List> {
-        let (list, of) = self.of_any_stamp(agent)?;
-        if of != stamp {
-            self.without += 1;
-            return None;
+    /// Takes the companion of an agent's list of this stamp; gives both back where the list was there before.
+    fn companion(&mut self, agent: &str, stamp: Nanos, info: I) -> Option<(List, Option<I>)> {
+        let lists = self.lists.entry(agent.into()).or_default();
+        if let Some(place) = lists.iter().position(|list| list.stamp == stamp) {
+            return Some((lists.remove(place)?, Some(info)));
         }
-        Some(list)
+        let companions = self.companions.entry(agent.into()).or_default();
+        companions.push_back((stamp, info));
+        if companions.len() > WAITING {
+            companions.pop_front();
+            self.given_up.companions += 1;
+        }
+        None
     }
 
-    /// How many have no companion, at the end.
-    fn without(&self) -> u64 {
-        self.without + self.lists.len() as u64
+    /// Those without their other half, at the end.
+    fn unpaired(&self) -> Unpaired {
+        let lists: usize = self.lists.values().map(VecDeque::len).sum();
+        let companions: usize = self.companions.values().map(VecDeque::len).sum();
+        Unpaired {
+            lists: self.given_up.lists + lists as u64,
+            companions: self.given_up.companions + companions as u64,
+        }
     }
 }
 
 impl List {
-    /// With the number of its sweep and its pose; a number of `u64::MAX` is not known.
-    fn completed(self, agents: &Agents, seq: u64, stated: Option<Isometry3<f64>>) -> Self {
+    /// With what its companion says, and its pose.
+    fn completed(self, agents: &Agents, info: Option<BoxesInfo>) -> Self {
         let track = agents.0.get(&self.agent).and_then(|agent| agent.track.as_ref());
+        let stated = info.as_ref().and_then(|info| info.map_from_frame);
         List {
-            seq: if seq == u64::MAX { self.seq } else { seq },
+            seq: info.map_or(self.seq, |info| info.seq),
             map_from_body: track.map_or(stated, |track| track.at(self.stamp)),
             ..self
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    fn list(stamp: Nanos) -> List {
+        List {
+            agent: "car".into(),
+            stamp,
+            ready: stamp,
+            seq: 0,
+            map_from_body: None,
+            boxes: Vec::new(),
+        }
+    }
+
+    #[test]
+    fn lists_and_companions_are_joined_by_stamp_in_any_order() {
+        let mut open = Waiting::of(["car"].into_iter());
+        let mut joined = Vec::new();
+        let mut take =
+            |paired: Option<(List, Option<Nanos>)>| joined.extend(paired.map(|(list, info)| (list.stamp, info)));
+        // Two lists before their companions, a companion before its list, and one of each that stays alone.
+        take(open.list(list(1)));
+        take(open.list(list(2)));
+        take(open.companion("car", 2, 2));
+        take(open.companion("car", 1, 1));
+        take(open.companion("car", 3, 3));
+        take(open.list(list(4)));
+        take(open.list(list(3)));
+        take(open.companion("car", 5, 5));
+        take(open.companion("car", 6, 6));
+        assert_eq!(joined, [(2, Some(2)), (1, Some(1)), (3, Some(3))]);
+        assert_eq!(
+            open.unpaired(),
+            Unpaired {
+                lists: 1,
+                companions: 2
+            }
+        );
+        assert_eq!(open.done, 4);
+    }
+
+    #[test]
+    fn what_waits_is_bounded_and_counted() {
+        let mut open = Waiting::of(["car"].into_iter());
+        for stamp in 0..WAITING as Nanos + 10 {
+            assert!(open.list(list(stamp)).is_none());
+        }
+        assert!(open.companion("car", 0, ()).is_none(), "it was given up");
+        assert!(open.companion("car", 10, ()).is_some());
+        let lists = WAITING as u64 + 9;
+        assert_eq!(open.unpaired(), Unpaired { lists, companions: 1 });
+        // Of an agent without companions nothing waits.
+        let mut open = Waiting::<()>::of(std::iter::empty());
+        assert!(open.list(list(0)).is_some());
     }
 }

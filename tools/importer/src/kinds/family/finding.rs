@@ -2,6 +2,7 @@
 
 use std::collections::BTreeMap;
 use std::path::{Path, PathBuf};
+use std::rc::Rc;
 
 use realo_logs::AgentKind;
 
@@ -63,7 +64,7 @@ fn sweeps(listed: &Listed, dir: &Path, clouds: &[&str]) -> BTreeMap<u64, SweepFi
 }
 
 /// Whether a folder's name is an agent's: a number.
-fn is_number(name: &str) -> bool {
+pub fn is_number(name: &str) -> bool {
     let digits = name.strip_prefix('-').unwrap_or(name);
     !digits.is_empty() && digits.bytes().all(|byte| byte.is_ascii_digit())
 }
@@ -74,6 +75,8 @@ struct Walk<'a> {
     clouds: Vec<&'a str>,
     /// Folders of roadside units, besides negative ones.
     roadside: &'a [&'a str],
+    /// Whether one scene with labels is enough.
+    is_brief: bool,
     found: Found,
 }
 
@@ -84,6 +87,9 @@ impl Walk<'_> {
         let mut empty = Vec::new();
         for folder in &listed.folders {
             let inside = list(folder)?;
+            if self.is_enough() {
+                return Ok(());
+            }
             if is_agent(&inside, &self.clouds) {
                 agents.push((folder.clone(), inside));
             } else if is_number(&name_of(folder)) && inside.folders.is_empty() {
@@ -102,7 +108,12 @@ impl Walk<'_> {
         }
     }
 
-    fn scene(&mut self, dir: &Path, folders: Vec<(PathBuf, Listed)>) -> Result<(), ImportError> {
+    /// Whether nothing more must be found.
+    fn is_enough(&self) -> bool {
+        self.is_brief && self.found.scenes.iter().any(|scene| first_file(scene).is_some())
+    }
+
+    fn scene(&mut self, dir: &Path, folders: Vec<(PathBuf, Rc<Listed>)>) -> Result<(), ImportError> {
         let name = scene_name(self.root, dir);
         let mut agents: Vec<SceneAgent> = Vec::new();
         let mut known: Vec<Known> = Vec::new();
@@ -211,7 +222,11 @@ pub fn find(dir: &Path, clouds: &[&'static str], roadside: &[&str], options: &Op
     if let Some(wanted) = options.cloud.as_deref() {
         clouds.sort_by_key(|end| *end != wanted);
     }
-    if is_agent(&list(dir)?, &clouds) {
+    found_in(dir, clouds, roadside, false)
+}
+
+fn found_in(dir: &Path, clouds: Vec<&str>, roadside: &[&str], is_brief: bool) -> Result<Found, ImportError> {
+    if is_agent(list(dir)?.as_ref(), &clouds) {
         let reason = "expected a scene with a folder for each agent, found the frames of one agent; give the folder that it is in";
         return Err(ImportError::content(dir, reason));
     }
@@ -219,6 +234,7 @@ pub fn find(dir: &Path, clouds: &[&'static str], roadside: &[&str], options: &Op
         root: dir,
         clouds,
         roadside,
+        is_brief,
         found: Found::default(),
     };
     walk.walk(dir, 1)?;
@@ -240,15 +256,19 @@ pub fn find(dir: &Path, clouds: &[&'static str], roadside: &[&str], options: &Op
     Ok(found)
 }
 
+/// The first label file of a scene that can be read.
+fn first_file(scene: &Scene) -> Option<(PathBuf, FrameFile)> {
+    let mut files = scene
+        .agents
+        .iter()
+        .flat_map(|agent| agent.sweeps.values().take(2))
+        .take(20);
+    files.find_map(|files| Some((files.labels.clone(), FrameFile::read(&files.labels).ok()?)))
+}
+
 /// The first label file below a folder that can be read, for a look at its keys.
 pub fn first_labels(dir: &Path) -> Result<(PathBuf, FrameFile), String> {
-    let found = find(dir, &["pcd", "bin"], &[], &Options::default()).map_err(|error| error.to_string())?;
-    let agents = found.scenes.iter().flat_map(|scene| &scene.agents);
-    let mut files = agents.flat_map(|agent| agent.sweeps.values().take(2));
-    let read = |files: &SweepFiles| Some((files.labels.clone(), FrameFile::read(&files.labels).ok()?));
-    files
-        .by_ref()
-        .take(20)
-        .find_map(read)
-        .ok_or_else(|| "no label file (`.yaml`) that can be read".into())
+    let found = found_in(dir, vec!["pcd", "bin"], &[], true).map_err(|error| error.to_string())?;
+    let first = found.scenes.iter().find_map(first_file);
+    first.ok_or_else(|| "no label file (`.yaml`) that can be read".into())
 }

@@ -22,22 +22,23 @@ pub fn relative(points: &mut Points, stated: Option<Nanos>, options: &Options) -
     if points.offset_ns.is_some() {
         return Ok(());
     }
+    let is_seconds = points.timestamp.is_some();
     let (name, times) = match (points.timestamp.take(), points.t.take()) {
         (Some(times), _) => ("timestamp", times),
-        (None, Some(times)) => ("t", times),
+        (None, Some(times)) => (if points.t_is_timestamp { "timestamp" } else { "t" }, times),
         (None, None) => return Ok(()),
     };
     let Some([first, last]) = ends(points, &times) else {
         return Ok(());
     };
     let near = |time: f64| stated.is_some_and(|stamp| (time - stamp as f64 / 1e9).abs() < 1.0);
-    if name == "timestamp" && near(first) && near(last) {
+    if is_seconds && near(first) && near(last) {
         points.timestamp = Some(times);
         return Ok(());
     }
-    let (unit, words) = match name {
-        "timestamp" => (1e9, "s"),
-        _ => unit_of(last - first, 1e9 / options.rate_hz),
+    let (unit, words) = match is_seconds {
+        true => (1e9, "s"),
+        false => unit_of(last - first, 1e9 / options.rate_hz),
     };
     if (last - first) * unit >= LONGEST {
         return Err(format!(
@@ -125,6 +126,18 @@ mod tests {
                 assert!(points.timestamp.is_none() && points.times.unwrap().contains(unit));
             }
         }
+    }
+
+    #[test]
+    fn counts_of_a_timestamp_are_taken_as_those_of_a_driver() {
+        let mut points = Points {
+            t_is_timestamp: true,
+            ..points(&[2e5, 2.5e5, 3e5], false)
+        };
+        // A stamp that the file states says nothing of counts.
+        relative(&mut points, Some(200_000_000_000_000), &Options::default()).unwrap();
+        assert_eq!(points.offset_ns.unwrap(), [0, 50_000_000, 100_000_000]);
+        assert!(points.times.unwrap().contains("the field `timestamp` (µs)"));
     }
 
     #[test]

@@ -149,9 +149,9 @@ impl States {
     /// A state that cannot be read, or has no pose.
     pub fn read(folder: &Path, pose_key: Option<&str>) -> Result<Self, ImportError> {
         let mut states = BTreeMap::new();
-        for name in list(folder)?.files {
-            let Some((ms, "json")) = frame_of(&name) else { continue };
-            let path = folder.join(&name);
+        for name in &list(folder)?.files {
+            let Some((ms, "json")) = frame_of(name) else { continue };
+            let path = folder.join(name);
             let pose =
                 only_matrix(&read_json(&path)?, pose_key).map_err(|reason| ImportError::content(&path, reason))?;
             states.insert(i64::try_from(ms).unwrap_or(i64::MAX).saturating_mul(1_000_000), pose);

@@ -68,7 +68,7 @@ fn beside(sequence: &Path, name: &str) -> Option<PathBuf> {
 /// The LiDARs of a sequence by the agents that have them: all of a vehicle together, each of a crossing by itself.
 fn lidars(sequence: &Path) -> Result<Vec<LidarsOf>, ImportError> {
     let mut agents: BTreeMap<(AgentKind, String), Vec<Lidar>> = BTreeMap::new();
-    for folder in list(sequence)?.folders {
+    for folder in list(sequence)?.folders.clone() {
         let clouds = clouds(&folder)?;
         if clouds.is_empty() {
             continue;
@@ -87,7 +87,7 @@ fn lidars(sequence: &Path) -> Result<Vec<LidarsOf>, ImportError> {
 
 /// Clouds of a folder by the times in their names, ms since 1970.
 fn clouds(folder: &Path) -> Result<BTreeMap<u64, PathBuf>, ImportError> {
-    let names = list(folder)?.files.into_iter();
+    let names = list(folder)?.files.clone().into_iter();
     let numbered = names.filter_map(|name| match frame_of(&name) {
         Some((ms, "npz")) => Some((ms, folder.join(&name))),
         _ => None,
@@ -150,7 +150,7 @@ impl Sequence {
             .then(|| TimeTable::read(&times))
             .transpose()?;
         let mut states = BTreeMap::new();
-        for inner in list(folder)?.folders {
+        for inner in list(folder)?.folders.clone() {
             if let Some(vehicle) = name_of(&inner).strip_suffix(STATE) {
                 states.insert(vehicle.to_string(), States::read(&inner, options.pose_key.as_deref())?);
             }
