@@ -1,6 +1,6 @@
 //! `realo-lab checkpoint`: from PyTorch's checkpoints to models.
 
-use std::path::{Path, PathBuf};
+use std::path::PathBuf;
 
 use clap::Subcommand;
 use clap::builder::{PossibleValue, PossibleValuesParser};
