@@ -99,7 +99,7 @@ pub use motion::{FixReading, ImuReading, WheelReading};
 pub use motion_faults::MOTION_UNUSABLE;
 pub use owner::{Owner, refuse_foreign};
 pub use packets::SentPacket;
-pub use poses::{MAX_GAP, Standing, is_posed, pose_track};
+pub use poses::{MAX_GAP, Standing, is_posed, pose_track, pose_tracks};
 pub use precomputed::{LaneStage, LogCopy, Precomputed};
 pub use rebase::RebasedStream;
 pub use schema::Schema;

@@ -89,6 +89,40 @@ pub fn is_posed(poses: &[Nanos], stamp: Nanos, max_gap: Nanos) -> bool {
 /// # Errors
 /// A log that cannot be read.
 pub fn pose_track(log: &Log, agent: &str, stream: Stream, max_gap: Nanos) -> Result<PoseTrack, LogError> {
+    let parts = pose_parts(log, agent, stream, max_gap, |_, _| false)?;
+    Ok(parts
+        .into_iter()
+        .next()
+        .map_or_else(|| PoseTrack::new(Nanos::MAX, max_gap), |(_, track)| track))
+}
+
+/// The same in parts, in each of which stamps rise: a clock that is set back gives a time twice. Each with the log time from which it
+/// counts, the first from the beginning.
+///
+/// # Errors
+/// A log that cannot be read.
+pub fn pose_tracks(
+    log: &Log,
+    agent: &str,
+    stream: Stream,
+    max_gap: Nanos,
+) -> Result<Vec<(Nanos, PoseTrack)>, LogError> {
+    pose_parts(log, agent, stream, max_gap, |before, stamp| {
+        stamp < before.saturating_sub(SET_BACK)
+    })
+}
+
+/// A stamp that is so much earlier than the one before is of a clock that was set back, ns.
+const SET_BACK: Nanos = 50_000_000;
+
+/// The poses in parts, of which a new one begins where `is_new` says so of the stamp before and the next.
+fn pose_parts(
+    log: &Log,
+    agent: &str,
+    stream: Stream,
+    max_gap: Nanos,
+    is_new: impl Fn(Nanos, Nanos) -> bool,
+) -> Result<Vec<(Nanos, PoseTrack)>, LogError> {
     let standing = Standing::read(log, agent, stream)?;
     let max_gap = if standing.is_some() { Nanos::MAX } else { max_gap };
     let mut track = PoseTrack::new(Nanos::MAX, max_gap);
@@ -97,14 +131,19 @@ pub fn pose_track(log: &Log, agent: &str, stream: Stream, max_gap: Nanos) -> Res
             track.insert(time, standing.state.map_from_body);
         }
     }
+    let (mut parts, mut before) = (vec![(Nanos::MIN, track)], Nanos::MIN);
     let mut reader = log.read_all(&[(agent, stream)])?;
     while let Some(entry) = reader.next()? {
+        if standing.is_none() && is_new(before, entry.stamp()) {
+            parts.push((entry.ready(), PoseTrack::new(Nanos::MAX, max_gap)));
+        }
+        before = entry.stamp();
         // What is no pose is counted when the log is played.
-        if let Ok(state) = entry.pose() {
+        if let (Ok(state), Some((_, track))) = (entry.pose(), parts.last_mut()) {
             track.insert(entry.stamp(), state.map_from_body);
         }
     }
-    Ok(track)
+    Ok(parts)
 }
 
 #[cfg(test)]

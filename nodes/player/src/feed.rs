@@ -239,8 +239,11 @@ impl Feed {
         let is_strange = late > BEHIND_MOST && self.sweep_of(entry).is_none();
         if self.script.offline && late > LATENCY && !is_strange {
             let (late, most) = (to_seconds(late), to_seconds(LATENCY));
-            let reason =
-                format!("it was ready {late:.3} s after its stamp; played offline at most {most} s are expected");
+            let reason = format!(
+                "it was ready {late:.3} s after its stamp; played offline at most {most} s are expected. If its clock was set back, \
+                 `--stamps rebase` gives the stamps that it would have had, and `--stamps drop` leaves such messages out; without \
+                 --offline it is played as it is"
+            );
             return Err(content(entry, reason));
         }
         let playing = entry.ready() >= self.script.from;

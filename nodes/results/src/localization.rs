@@ -3,11 +3,13 @@
 use std::collections::BTreeMap;
 use std::path::Path;
 
+use crate::GraphStages;
 use nalgebra::Isometry3;
-use realo_logs::{Log, LogError, MAX_GAP, Stream, pose_track};
+use realo_logs::{Log, LogError, MAX_GAP, Stream, pose_tracks};
 use realo_schemas::geometry::PoseTrack;
 use realo_schemas::{AgentState, Header, Name, Nanos, PoseStatus};
 use realo_scoring::{LocalizationFrame, PoseDifference};
+use realo_time_offset::{Handling, StampRule};
 
 /// Estimates that are kept: those of an agent in half a day. Of later ones nothing is said.
 const MOST: usize = 500_000;
@@ -15,9 +17,20 @@ const MOST: usize = 500_000;
 /// Estimated states, by agent, in order of arrival.
 #[derive(Debug, Default)]
 pub(crate) struct Estimates {
-    of: BTreeMap<Name, Vec<(Nanos, AgentState)>>,
+    of: BTreeMap<Name, Vec<Estimated>>,
     count: usize,
 }
+
+/// A state, with the stamp of its sweep, and when that was there.
+#[derive(Debug)]
+struct Estimated {
+    stamp: Nanos,
+    ready: Nanos,
+    state: AgentState,
+}
+
+/// True poses in parts, each from a log time on: a clock that is set back gives a time twice.
+type Truth = Vec<(Nanos, PoseTrack)>;
 
 /// First line of a trajectory in the form of TUM's benchmark.
 pub(crate) const TUM: &str = "# timestamp_s x_m y_m z_m qx qy qz qw";
@@ -46,21 +59,22 @@ impl Estimates {
                 angular_rate: None,
                 ..state.clone()
             };
-            self.of
-                .entry(header.agent.clone())
-                .or_default()
-                .push((header.stamp, state));
+            self.of.entry(header.agent.clone()).or_default().push(Estimated {
+                stamp: header.stamp,
+                ready: header.ready,
+                state,
+            });
         }
     }
 
-    /// All estimates with their errors, by the log's true poses.
-    pub fn against(self, log: Option<&Path>) -> Compared {
+    /// All estimates with their errors, by the log's true poses. `stamps`: what became of the log's stamps when it was played.
+    pub fn against(self, log: Option<&Path>, stamps: StampRule) -> Compared {
         let mut compared = Compared::default();
         let notes = &mut compared.notes;
         if self.of.is_empty() {
             return compared;
         }
-        let truth = match log.map(|path| truth(path, self.of.keys())) {
+        let truth = match log.map(|path| truth(path, stamps, self.of.keys())) {
             None => BTreeMap::new(),
             Some(Ok(truth)) => truth,
             Some(Err(error)) => {
@@ -77,11 +91,12 @@ impl Estimates {
             ));
         }
         for (agent, states) in self.of {
-            let track = truth.get(&agent);
+            let parts = truth.get(&agent);
             let mut trajectories = [TUM, TUM].map(|first| format!("{first}\n"));
-            let frame = |(stamp, state): (Nanos, AgentState)| {
-                let usable = track.filter(|_| state.status.is_usable());
-                let truth = usable.and_then(|track| track.at(stamp));
+            let frame = |Estimated { stamp, ready, state }: Estimated| {
+                let usable = parts.filter(|_| state.status.is_usable());
+                let part = usable.and_then(|parts| parts.iter().rev().find(|(from, _)| *from <= ready));
+                let truth = part.and_then(|(_, track)| track.at(stamp));
                 if let Some(truth) = &truth {
                     for (text, pose) in trajectories.iter_mut().zip([&state.map_from_body, truth]) {
                         text.push_str(&line_of_tum(stamp, pose));
@@ -111,13 +126,31 @@ fn line_of_tum(stamp: Nanos, pose: &Isometry3<f64>) -> String {
     )
 }
 
-/// The true poses of those agents of whom the log has some.
-fn truth<'a>(path: &Path, agents: impl Iterator<Item = &'a Name>) -> Result<BTreeMap<Name, PoseTrack>, LogError> {
-    let log = Log::open(path)?;
+/// The true poses of those agents of whom the log has some, at the stamps with which it was played.
+fn truth<'a>(
+    path: &Path,
+    stamps: StampRule,
+    agents: impl Iterator<Item = &'a Name>,
+) -> Result<BTreeMap<Name, Truth>, LogError> {
+    let mut log = Log::open(path)?;
+    if stamps.handling() != Handling::Trust {
+        log.rebase(stamps.handling())?;
+    }
     agents
         .filter(|agent| log.has(agent, Stream::PoseTruth))
-        .map(|agent| Ok((agent.clone(), pose_track(&log, agent, Stream::PoseTruth, MAX_GAP)?)))
+        .map(|agent| Ok((agent.clone(), pose_tracks(&log, agent, Stream::PoseTruth, MAX_GAP)?)))
         .collect()
+}
+
+/// What became of stamps when the log was played, as the graph that was run says it of its player.
+pub(crate) fn stamp_rule(graph: &GraphStages) -> StampRule {
+    let is_player = |stage: &&BTreeMap<String, String>| stage.get("runs").is_some_and(|runs| runs == "node player");
+    let said = graph
+        .values()
+        .find(is_player)
+        .and_then(|player| player.get("settings.stamps"));
+    let rule = said.and_then(|said| serde_json::from_value(said.as_str().into()).ok());
+    rule.unwrap_or_default()
 }
 
 #[cfg(test)]
@@ -142,12 +175,13 @@ mod tests {
         let header = |stamp| Header::origin(&"run".into(), &"cav1".into(), Kind::AgentState, 0, stamp, stamp);
         let mut estimates = Estimates::default();
         estimates.add(&header(0), &state(1.0, PoseStatus::Recorded));
-        let nothing = estimates.against(None);
+        let nothing = estimates.against(None, StampRule::default());
         assert!(nothing.frames.is_empty() && nothing.notes.is_empty());
         let mut estimates = Estimates::default();
         estimates.add(&header(50), &state(1.0, PoseStatus::Tracking));
         estimates.add(&header(150), &state(1.0, PoseStatus::Lost));
-        let Compared { frames, notes, .. } = estimates.against(Some(Path::new("/nowhere/log.mcap")));
+        let Compared { frames, notes, .. } =
+            estimates.against(Some(Path::new("/nowhere/log.mcap")), StampRule::default());
         assert!(notes[0].contains("/nowhere/log.mcap"), "{notes:?}");
         let statuses: Vec<_> = frames["cav1"].iter().map(|frame| (frame.status, frame.error)).collect();
         assert_eq!(statuses, [(PoseStatus::Tracking, None), (PoseStatus::Lost, None)]);
@@ -166,7 +200,7 @@ mod tests {
             frames,
             notes,
             trajectories,
-        } = estimates.against(Some(&path));
+        } = estimates.against(Some(&path), StampRule::default());
         assert_eq!(notes, [""; 0]);
         let [first, second] = frames["cav1"][..] else {
             panic!("{frames:?}")
@@ -181,6 +215,68 @@ mod tests {
             format!("{TUM}\n0.050000000 {x} 0.000000 0.000000 0.000000000 0.000000000 0.000000000 1.000000000\n")
         };
         assert_eq!((&estimated[..], &truth[..]), (&*line("0.700000"), &*line("0.500000")));
+    }
+
+    /// The agent's clock is 3 s behind all the time, and set back by 1 s after 5 s.
+    #[test]
+    fn truth_is_at_the_stamps_that_were_played() {
+        const S: Nanos = 1_000_000_000;
+        let folder = tempfile::tempdir().unwrap();
+        let behind = |at: Nanos| at - 3 * S;
+        let back = |at: Nanos| at - if at < 1_005 * S { 0 } else { S };
+        let clocks: [(&str, &dyn Fn(Nanos) -> Nanos, StampRule); 3] = [
+            ("behind", &behind, StampRule::Rebase),
+            ("back", &back, StampRule::DropFar),
+            ("back", &back, StampRule::Rebase),
+        ];
+        for (name, clock, rule) in clocks {
+            let path = folder.path().join(format!("{name}.mcap"));
+            let agent = AgentInfo {
+                name: "cav1".into(),
+                kind: AgentKind::Vehicle,
+                footprint: None,
+                sensor: String::new(),
+                sensor_position: None,
+            };
+            let mut writer = LogWriter::create(&path, &LogInfo::new("test", vec![agent])).unwrap();
+            let mut estimates = Estimates::default();
+            let mut wanted = 0;
+            for k in 0..100 {
+                let at = 1_000 * S + k * S / 10;
+                writer
+                    .pose_truth("cav1", clock(at), at, &state(k as f64, PoseStatus::Truth))
+                    .unwrap();
+                // Rebasing leaves out what comes before a step back is sure.
+                if rule == StampRule::DropFar || !(50..60).contains(&k) {
+                    let stamp = if rule == StampRule::Rebase { at } else { clock(at) };
+                    let header = Header::origin(&"run".into(), &"cav1".into(), Kind::AgentState, 0, stamp, at);
+                    estimates.add(&header, &state(k as f64, PoseStatus::Tracking));
+                    wanted += 1;
+                }
+            }
+            writer.finish().unwrap();
+            let compared = estimates.against(Some(&path), rule);
+            let errors: Vec<f64> = compared.frames["cav1"]
+                .iter()
+                .filter_map(|frame| Some(frame.error?.position_m))
+                .collect();
+            assert_eq!(errors.len(), wanted, "{name} {rule:?}");
+            let worst = errors.iter().copied().fold(0.0, f64::max);
+            assert!(worst < 1e-6, "{name} {rule:?}: {worst}");
+        }
+    }
+
+    #[test]
+    fn the_player_of_the_graph_says_what_became_of_stamps() {
+        let stage = |runs: &str, stamps: &str| {
+            BTreeMap::from(
+                [("runs", runs), ("settings.stamps", stamps)].map(|(key, value)| (key.to_string(), value.into())),
+            )
+        };
+        let mut graph = GraphStages::from([("a".to_string(), stage("operator sync", "drop"))]);
+        assert_eq!(stamp_rule(&graph), StampRule::DropFar);
+        graph.insert("player".into(), stage("node player", "rebase"));
+        assert_eq!(stamp_rule(&graph), StampRule::Rebase);
     }
 
     /// A drive of 10 m/s along x.

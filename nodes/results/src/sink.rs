@@ -9,7 +9,7 @@ use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
 use crate::files::{Beside, write_run_with};
-use crate::localization::Estimates;
+use crate::localization::{Estimates, stamp_rule};
 use crate::progress::Progress;
 use crate::timing::Pace;
 use crate::{
@@ -197,7 +197,8 @@ impl Sink for Results {
 
     fn finish(&mut self, books: &Books) -> Result<(), Error> {
         let estimates = std::mem::take(&mut self.estimates);
-        let found = estimates.against(self.log_path.as_deref().map(Path::new));
+        let stamps = stamp_rule(&self.samples.graph);
+        let found = estimates.against(self.log_path.as_deref().map(Path::new), stamps);
         self.samples.localization = found.frames;
         let mut run = self.close(books);
         run.result.notes.extend(found.notes);

@@ -11,7 +11,10 @@ use realo_state_estimation::{
     deskewed, level_pose, unit_of,
 };
 
-use crate::faults::{Reported, SCAN_FEW_POINTS, SCAN_OFF_MAP, SCAN_UNFIT, SCANS, SEARCHES, Taken};
+use crate::clock::MotionClock;
+use crate::faults::{
+    CLOCK_SET, CLOCKS_APART, Reported, SCAN_FEW_POINTS, SCAN_OFF_MAP, SCAN_UNFIT, SCANS, SEARCHES, Taken,
+};
 use crate::place::{Found, FoundPose, Guess, Place};
 
 /// From one search in all directions to the next, ns: it takes long.
@@ -77,6 +80,7 @@ pub(crate) struct Agent {
     antenna: Vector3<f64>,
     axle: Vector3<f64>,
     measured: Measured,
+    clock: MotionClock,
     /// When a sweep was looked for in all directions, or a held unit was looked at.
     looked: Option<Nanos>,
     /// Where the last sweep was found, if that does not tell the estimate yet.
@@ -99,6 +103,7 @@ impl Agent {
             antenna: Vector3::zeros(),
             axle: Vector3::zeros(),
             measured: Measured::default(),
+            clock: MotionClock::default(),
             looked: None,
             tried: None,
             is_on_map: false,
@@ -131,7 +136,10 @@ impl Agent {
     ) -> Result<(), estimation::SettingsError> {
         self.has_motion |= !motion.is_empty();
         self.mount(motion, rules)?;
-        let samples = self.measured.samples(header.stamp, motion);
+        let mut samples = self.measured.samples(header.stamp, motion);
+        if let Some(since) = self.set_back_or_ahead(header, motion, out) {
+            samples.retain(|sample| matches!(sample, Sample::Imu(sample) if sample.stamp >= since));
+        }
         for sample in &samples {
             match &mut self.filter {
                 Some(Filter::Vehicle(estimator)) => _ = estimator.take(sample),
@@ -144,6 +152,32 @@ impl Agent {
         self.taken.wheels += motion.wheels.len() as u64;
         self.report(&header.agent, out);
         Ok(())
+    }
+
+    /// Looks whether the clock of the motion sensors was set. Then all begins anew: what was measured before lies at other times. Gives the
+    /// stamp from which on samples of the message are of the new clock.
+    fn set_back_or_ahead<O: StageOutputs>(
+        &mut self,
+        header: &Header,
+        motion: &Motion,
+        out: &mut Outputs<O>,
+    ) -> Option<Nanos> {
+        let Some(Filter::Vehicle(estimator)) = &mut self.filter else {
+            return None;
+        };
+        let mut since = None;
+        for sample in &motion.imu {
+            let (stamp, arrival) = (sample.taken.stamp_in(header), sample.taken.arrival_in(header));
+            if self.clock.sample(stamp, arrival) {
+                since = Some(stamp);
+            }
+        }
+        out.count(&CLOCK_SET, &header.agent, u64::from(since.is_some()));
+        if since.is_some() {
+            estimator.begin_anew();
+            (self.measured, self.looked, self.tried, self.is_on_map) = (Measured::default(), None, None, false);
+        }
+        since
     }
 
     /// Makes the filter with the first measurements, and takes over where sensors are.
@@ -207,6 +241,11 @@ impl Agent {
         place: Option<&mut Place>,
         out: &mut Outputs<O>,
     ) -> AgentState {
+        let is_apart = !self.is_roadside && self.clock.is_apart(header.stamp, header.ready);
+        out.count_of(&CLOCKS_APART, &header.agent, u64::from(is_apart), 1);
+        if is_apart {
+            return nowhere(Status::Lost);
+        }
         let mut errors = [0.0; 3];
         if let Some(place) = place {
             self.look(header, cloud, place, out);

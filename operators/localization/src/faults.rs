@@ -58,6 +58,19 @@ pub(crate) const SCAN_OFF_MAP: Counter = Counter::loss(
     "`realo map info` says where the map is: take the one of this place, or one that reaches as far",
 );
 
+pub(crate) const CLOCK_SET: Counter = Counter::loss(
+    "clock_set",
+    "times the clock of a vehicle's motion sensors was set back or ahead by 0.2 s or more (`source=gnss|map`)",
+    "times the clock of the motion sensors was set back or ahead, so the estimate was given up and began anew",
+    "set the clock before the run, and slowly during it; `--stamps rebase` gives stamps as if it had not been set",
+);
+pub(crate) const CLOCKS_APART: Counter = Counter::loss(
+    "clocks_apart",
+    "sweeps of vehicles whose clock is another one than that of their motion sensors: without a pose, as `lost` (`source=gnss|map`)",
+    "sweeps have no pose, because their clock and that of the motion sensors are more than 0.3 s apart",
+    "have one clock for all sensors of an agent, or correct its stamps when the log is written; `--stamps rebase` takes a step of one back",
+);
+
 /// A fault of an estimator, for [`FAULTS`].
 const fn fault(name: &'static str, about: &'static str, note: &'static str, remedy: &'static str) -> Counter {
     // One of 1,000 is gated by chance.
@@ -273,6 +286,8 @@ pub(crate) const COUNTERS: &[Counter] = &{
         SCAN_UNFIT,
         SCAN_FEW_POINTS,
         SCAN_OFF_MAP,
+        CLOCK_SET,
+        CLOCKS_APART,
     ];
     let mut all = [IMU_SAMPLES; OWN.len() + FAULTS.len()];
     let mut at = 0;

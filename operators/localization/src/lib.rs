@@ -17,6 +17,7 @@
 //! are, as V2X-Real does. A true pose with noise is a recorded one.
 
 mod agent;
+mod clock;
 mod faults;
 mod mersenne;
 mod motion;

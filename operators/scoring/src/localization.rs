@@ -24,6 +24,9 @@ pub struct LocalizationFrame {
 pub struct PoseDifference {
     /// On the ground, m.
     pub position_m: f64,
+    /// Up or down, m.
+    #[serde(default)]
+    pub height_m: f64,
     /// Of the heading, degrees, 0 to 180.
     pub heading_deg: f64,
     /// Normalised error squared over x, y, z and the heading: χ² with four degrees of freedom where the covariance is right.
@@ -56,6 +59,9 @@ pub struct LocalizationScores {
     /// On the ground, m; `None` where no truth is known.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub position_m: Option<ErrorSpread>,
+    /// Up or down, m.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub height_m: Option<ErrorSpread>,
     /// Of the heading, degrees.
     #[serde(default, skip_serializing_if = "Option::is_none")]
     pub heading_deg: Option<ErrorSpread>,
@@ -80,6 +86,7 @@ impl PoseDifference {
         });
         PoseDifference {
             position_m: libm::hypot(shift.x, shift.y),
+            height_m: shift.z.abs(),
             heading_deg: turn.to_degrees().abs(),
             nees: nees.filter(|nees| nees.is_finite()),
         }
@@ -111,6 +118,7 @@ impl LocalizationScores {
             by_status,
             compared: errors.len() as u64,
             position_m: ErrorSpread::of(errors.iter().map(|error| error.position_m)),
+            height_m: ErrorSpread::of(errors.iter().map(|error| error.height_m)),
             heading_deg: ErrorSpread::of(errors.iter().map(|error| error.heading_deg)),
             nees_inside: (!nees.is_empty()).then(|| inside as f64 / nees.len() as f64),
             nees_mean: (!nees.is_empty()).then(|| nees.iter().sum::<f64>() / nees.len() as f64),
@@ -162,6 +170,10 @@ mod tests {
         assert!((found.heading_deg - turn.to_degrees()).abs() < 1e-9);
         let nees = (0.16 + turn * turn) / 0.25;
         assert!(found.nees.is_some_and(|found| (found - nees).abs() < 1e-9));
+        let mut above = state(3.0, 0.0);
+        above.map_from_body.translation.z = -47.0;
+        let found = PoseDifference::of(&above, &state(3.0, 0.0).map_from_body);
+        assert_eq!((found.position_m, found.height_m), (0.0, 47.0));
         let mut unsure = state(3.0, 0.0);
         unsure.covariance = Some(Box::new([0.0; 36]));
         assert_eq!(PoseDifference::of(&unsure, &Isometry3::identity()).nees, None);
@@ -173,6 +185,7 @@ mod tests {
             status,
             error: error.map(|position_m| PoseDifference {
                 position_m,
+                height_m: 0.0,
                 heading_deg: 1.0,
                 nees: Some(10.0 * position_m),
             }),

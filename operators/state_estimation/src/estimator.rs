@@ -74,6 +74,15 @@ impl Estimator {
         self.rules.remount(antenna_in_body, axle_in_body);
     }
 
+    /// Gives up what was estimated, and begins anew: what comes next is of another clock. What was wrong so far stays counted.
+    pub fn begin_anew(&mut self) {
+        let (faults, latest) = (self.faults(), self.latest());
+        let knew = latest.belief.is_some() || latest.start.after_loss;
+        self.base = Filter::after(knew);
+        self.steps.clear();
+        (self.faults, self.ahead) = (faults, 0);
+    }
+
     /// Takes a sample. What is wrong with it is the verdict, and counted in [`Self::faults`].
     pub fn take(&mut self, sample: &Sample) -> Verdict {
         let stamp = sample.stamp();

@@ -63,6 +63,14 @@ pub(crate) struct Filter {
 }
 
 impl Filter {
+    /// The filter before any sample, after another one that had an estimate or not.
+    pub fn after(after_loss: bool) -> Self {
+        Filter {
+            start: Start::after(after_loss),
+            ..Filter::new()
+        }
+    }
+
     /// The filter before any sample.
     pub fn new() -> Self {
         Filter {

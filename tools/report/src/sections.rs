@@ -140,6 +140,7 @@ impl Contents<'_> {
                     "position error on the ground, m: mean / 95 % / max",
                     localization::positions,
                 ),
+                self.section("height error, m: mean / 95 % / max", localization::heights),
                 self.section("heading error, degrees: mean / 95 % / max", localization::headings),
                 self.section(
                     "localization, % of sweeps: tracking / dead reckoning / init / lost / NEES inside its 95 % band",

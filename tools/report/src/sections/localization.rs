@@ -35,6 +35,12 @@ pub(super) fn positions(rows: &mut Rows) {
     }
 }
 
+pub(super) fn heights(rows: &mut Rows) {
+    for agent in agents(rows) {
+        rows.add(agent.clone(), |run| spread(of(run, &agent)?.height_m));
+    }
+}
+
 pub(super) fn headings(rows: &mut Rows) {
     for agent in agents(rows) {
         rows.add(agent.clone(), |run| spread(of(run, &agent)?.heading_deg));
