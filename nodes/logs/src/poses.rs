@@ -96,8 +96,8 @@ pub fn pose_track(log: &Log, agent: &str, stream: Stream, max_gap: Nanos) -> Res
         .map_or_else(|| PoseTrack::new(Nanos::MAX, max_gap), |(_, track)| track))
 }
 
-/// The same in parts, in each of which stamps rise: a clock that is set back gives a time twice. Each with the log time from which it
-/// counts, the first from the beginning.
+/// The same in parts, in each of which stamps rise: a clock that is set back gives a time twice. Each with what has to be added to its
+/// stamps to have log times, ns; of the first nothing is known to be added.
 ///
 /// # Errors
 /// A log that cannot be read.
@@ -131,11 +131,12 @@ fn pose_parts(
             track.insert(time, standing.state.map_from_body);
         }
     }
-    let (mut parts, mut before) = (vec![(Nanos::MIN, track)], Nanos::MIN);
+    let (mut parts, mut before) = (vec![(0, track)], Nanos::MIN);
     let mut reader = log.read_all(&[(agent, stream)])?;
     while let Some(entry) = reader.next()? {
         if standing.is_none() && is_new(before, entry.stamp()) {
-            parts.push((entry.ready(), PoseTrack::new(Nanos::MAX, max_gap)));
+            let behind = entry.ready().saturating_sub(entry.stamp());
+            parts.push((behind, PoseTrack::new(Nanos::MAX, max_gap)));
         }
         before = entry.stamp();
         // What is no pose is counted when the log is played.

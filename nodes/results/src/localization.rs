@@ -29,8 +29,11 @@ struct Estimated {
     state: AgentState,
 }
 
-/// True poses in parts, each from a log time on: a clock that is set back gives a time twice.
+/// True poses in parts, each with how far its clock is behind the log times, ns: a clock that is set back gives a time twice.
 type Truth = Vec<(Nanos, PoseTrack)>;
+
+/// A true pose is logged so much later than its stamp at most, ns.
+const SLACK: Nanos = 50_000_000;
 
 /// First line of a trajectory in the form of TUM's benchmark.
 pub(crate) const TUM: &str = "# timestamp_s x_m y_m z_m qx qy qz qw";
@@ -95,7 +98,10 @@ impl Estimates {
             let mut trajectories = [TUM, TUM].map(|first| format!("{first}\n"));
             let frame = |Estimated { stamp, ready, state }: Estimated| {
                 let usable = parts.filter(|_| state.status.is_usable());
-                let part = usable.and_then(|parts| parts.iter().rev().find(|(from, _)| *from <= ready));
+                // Of a clock that was set back a sweep is the newest that can have arrived by then.
+                let fits =
+                    |(behind, _): &&(Nanos, PoseTrack)| stamp.saturating_add(*behind) <= ready.saturating_add(SLACK);
+                let part = usable.and_then(|parts| parts.iter().rev().find(fits).or(parts.first()));
                 let truth = part.and_then(|(_, track)| track.at(stamp));
                 if let Some(truth) = &truth {
                     for (text, pose) in trajectories.iter_mut().zip([&state.map_from_body, truth]) {

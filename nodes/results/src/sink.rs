@@ -5,6 +5,7 @@ use realo_operator::{Books, Describe, Error, Inputs, Loss, Meaning, NoOutput, No
 use realo_schemas::report::{self, Fated, Peer, Phase, from_report};
 use realo_schemas::{AgentState, Boxes, GroundTruth, Header, Kind, Name, Report};
 use realo_scoring::{EvaluationReport, TOPIC};
+use realo_time_offset::StampRule;
 use serde::de::DeserializeOwned;
 use serde::{Deserialize, Serialize};
 
@@ -26,6 +27,10 @@ pub struct Settings {
     /// File with the settings of the run that the result reports (JSON); empty = the graph is named as the folder is.
     #[setting(role = "run_settings")]
     pub run_settings: PathBuf,
+    /// What becomes of messages whose stamps are wrong, as the player has it: localization is compared with the truth at the stamps that it
+    /// played.
+    #[setting(role = "stamps")]
+    pub stamps: StampRule,
 }
 
 /// What whoever prepared a run knows of it.
@@ -89,6 +94,7 @@ impl Sweeps {
 #[stage(output = NoOutput)]
 pub struct Results {
     out: PathBuf,
+    stamps: StampRule,
     log: String,
     log_path: Option<String>,
     machine: Option<String>,
@@ -164,6 +170,7 @@ impl Sink for Results {
             estimates: Estimates::default(),
             progress: Progress::new(&settings.out, !settings.run_settings.as_os_str().is_empty()),
             courses: BTreeMap::new(),
+            stamps: settings.stamps,
             out: settings.out,
         })
     }
@@ -197,7 +204,11 @@ impl Sink for Results {
 
     fn finish(&mut self, books: &Books) -> Result<(), Error> {
         let estimates = std::mem::take(&mut self.estimates);
-        let stamps = stamp_rule(&self.samples.graph);
+        // A player may have a rule of its own.
+        let stamps = match self.stamps {
+            StampRule::DropFar => stamp_rule(&self.samples.graph),
+            decided => decided,
+        };
         let found = estimates.against(self.log_path.as_deref().map(Path::new), stamps);
         self.samples.localization = found.frames;
         let mut run = self.close(books);
