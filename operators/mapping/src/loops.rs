@@ -41,6 +41,8 @@ pub(crate) struct LoopSearch {
     pub apart_m: f64,
     /// How far registration looks around.
     pub search: Search,
+    /// Whether it begins at the earlier pass's height, and at the later one's own only if nothing fits there.
+    pub is_level_tried: bool,
     pub voxel_m: f64,
 }
 
@@ -135,9 +137,20 @@ impl Nodes<'_> {
             return Ok(None);
         };
         let guess = earlier_from_map * self.poses[later];
-        let aligned = registrar.align(&submap, &self.keyframes[later].cloud, &guess, how.search);
-        // A sweep of too few points closes no loop.
-        Ok(aligned.ok().filter(fits).map(|found| Edge {
+        // Heights of odometry drift by metres in a lap, but a street has one height where two passes meet.
+        let mut level = guess;
+        level.translation.z = 0.0;
+        let guesses = if how.is_level_tried {
+            [Some(level), Some(guess)]
+        } else {
+            [Some(guess), None]
+        };
+        let aligned = guesses.into_iter().flatten().find_map(|guess| {
+            let aligned = registrar.align(&submap, &self.keyframes[later].cloud, &guess, how.search);
+            // A sweep of too few points closes no loop.
+            aligned.ok().filter(fits)
+        });
+        Ok(aligned.map(|found| Edge {
             from: earlier,
             to: later,
             from_from_to: found.map_from_body,

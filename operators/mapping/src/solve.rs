@@ -31,12 +31,14 @@ const FIRST: LoopSearch = LoopSearch {
     radius_m: 8.0,
     apart_m: 20.0,
     search: Search::Wide,
+    is_level_tried: true,
     voxel_m: 1.0,
 };
 const SECOND: LoopSearch = LoopSearch {
     radius_m: 5.0,
     apart_m: 4.0,
     search: Search::Track,
+    is_level_tried: false,
     voxel_m: 1.0,
 };
 
