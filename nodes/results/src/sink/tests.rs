@@ -151,6 +151,7 @@ fn sink(out: &Path) -> Results {
     Results::new(Settings {
         out: out.into(),
         run_settings: path,
+        stamps: StampRule::default(),
     })
     .unwrap()
 }
@@ -492,6 +493,7 @@ fn without_a_name_the_graph_is_named_as_its_folder() {
         let config = Settings {
             out: out.clone(),
             run_settings: reported,
+            stamps: StampRule::default(),
         };
         let error = Results::new(config).err().unwrap().to_string();
         assert!(error.contains("`run_settings`") && error.contains(expected), "{error}");
