@@ -269,7 +269,7 @@ impl Unreadable {
         let at = to_seconds(*log_time);
         Some(match self.count {
             1 => format!("{topic} at {at:.3} s: {reason}"),
-            count => format!("{topic}: {count} of {all} sweeps cannot be read, the first at {at:.3} s: {reason}"),
+            count => format!("{count} of {all} sweeps cannot be read, the first is {topic} at {at:.3} s: {reason}"),
         })
     }
 }

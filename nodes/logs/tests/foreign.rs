@@ -205,7 +205,7 @@ fn sweeps_that_cannot_be_read_are_one_problem_with_their_count() {
     });
     let shown = shown(&made.path);
     let line =
-        "PROBLEM: /alice/points: 2 of 4 sweeps cannot be read, the first at 1700000000.100 s: its frame is `lidar`";
+        "PROBLEM: 2 of 4 sweeps cannot be read, the first is /alice/points at 1700000000.100 s: its frame is `lidar`";
     assert_eq!(shown.matches(line).count(), 1, "{shown}");
     assert_eq!(shown.matches("its frame is").count(), 1, "{shown}");
 }
