@@ -204,7 +204,8 @@ mod tests {
                 let channel = mcap.channel(&topic, Schema::PointCloud2, ChunkGroup::of(&Schema::PointCloud2.name()));
                 for step in 0..3 {
                     let at = 1_700_000_000_000_000_000 + step * 100_000_000;
-                    mcap.write(channel, at, at, |out| out.extend_from_slice(&[7, 0, 0, 0])).unwrap();
+                    mcap.write(channel, at, at, |out| out.extend_from_slice(&[7, 0, 0, 0]))
+                        .unwrap();
                 }
             }
             mcap.finish().unwrap();
