@@ -65,7 +65,11 @@ pub fn agrees(file: &Path, found: &str) -> Result<bool> {
     let differ = differences(&table_of(file)?, found);
     match differ.is_empty() {
         true => println!("{}: the same digits", card.display()),
-        false => println!("{}: other digits:\n  {}", card.display(), differ.join("\n  ")),
+        false => println!(
+            "{}: expected the table of its card, found other digits:\n  {}",
+            card.display(),
+            differ.join("\n  ")
+        ),
     }
     Ok(differ.is_empty())
 }
@@ -88,9 +92,9 @@ fn differences(expected: &str, found: &str) -> Vec<String> {
     for at in 0..expected.len().max(found.len()) {
         let [was, is] = [&expected, &found].map(|table| table.get(at).unwrap_or(&empty));
         for column in 0..was.len().max(is.len()) {
-            let shown = |row: &Vec<String>| {
-                row.get(column)
-                    .map_or("nothing".to_string(), |cell| format!("`{cell}`"))
+            let shown = |row: &Vec<String>| match row.get(column).filter(|cell| !cell.is_empty()) {
+                Some(cell) => format!("`{cell}`"),
+                None => "nothing".to_string(),
             };
             if was.get(column) != is.get(column) {
                 let of = |row: &Vec<String>, column: usize| row.get(column).cloned().unwrap_or_default();
