@@ -291,6 +291,8 @@ fn the_paper_s_runs_are_shared_out_resumed_and_merged() {
         code == Some(2) && said.contains("expected one of v2xvit, attfuse"),
         "{said}"
     );
+    // A refused merge leaves nothing.
+    assert!(!tree.at("other").exists(), "{said}");
     // A change of what results depend on makes them anew.
     tree.write("operators/a", "b");
     let (code, said) = paper(&[&shard[..], &["--allow-dirty"]].concat());
@@ -298,4 +300,98 @@ fn the_paper_s_runs_are_shared_out_resumed_and_merged() {
         code == Some(0) && said.contains("run again, because something has changed"),
         "{said}"
     );
+}
+
+/// Calls `paper` in a tree.
+fn paper(tree: &Tree, args: &[&str]) -> (Option<i32>, String) {
+    let args = [&["paper", "--seconds", "1", "--jobs", "1"], args].concat();
+    let output = tree.command(&args, &tree.0).output().expect("it can be started");
+    (output.status.code(), text(&output.stderr))
+}
+
+#[test]
+fn a_cell_of_the_paper_is_made_alone_and_nothing_that_is_there_is_lost() {
+    let tree = tree_of_paper("measure-cell");
+    let cell = ["--cell", "v2v/offline/late_fusion"];
+    let of = |scenes: &'static str| [&["--scenes", scenes, "--out", "out"], &cell[..]].concat();
+    let (code, said) = paper(&tree, &of("2"));
+    assert_eq!(code, Some(3), "{said}");
+    for part in [
+        "2 runs of 110 to make, 0 of them made before",
+        "108 runs of 110 are not here yet",
+        "without --cell makes them",
+    ] {
+        assert!(said.contains(part), "{part} is not in {said}");
+    }
+    let runs = || {
+        let mut all: Vec<PathBuf> = below(&tree.at("out/runs"), "done.json");
+        all.sort();
+        all
+    };
+    let made = runs();
+    assert_eq!(made.len(), 2, "{made:?}");
+    // Another plan is refused before anything is touched.
+    let (code, said) = paper(&tree, &of("3"));
+    assert!(code == Some(1) && said.contains("another plan"), "{said}");
+    assert_eq!(runs(), made);
+    // What fails leaves what was there.
+    tree.write("fail", "");
+    let before = fs::read_to_string(&made[0]).expect("a record");
+    let (code, said) = paper(&tree, &of("2"));
+    assert!(code == Some(1) && said.contains("2 of them made before"), "{said}");
+    assert_eq!(fs::read_to_string(&made[0]).expect("it is there still"), before);
+    assert!(tree.at("out/runs/v2v/offline/late_fusion/900/run/result.json").exists());
+    fs::remove_file(tree.at("fail")).expect("it is there");
+    // Another cell leaves this one, and this one made again takes the place of what was there.
+    let (code, said) = paper(
+        &tree,
+        &["--scenes", "2", "--out", "out", "--cell", "v2v/offline/no_fusion"],
+    );
+    assert!(code == Some(3) && said.contains("106 runs of 110"), "{said}");
+    tree.write("out/runs/v2v/offline/late_fusion/900/old", "");
+    let (code, said) = paper(&tree, &of("2"));
+    assert!(code == Some(3) && runs().len() == 4, "{said}");
+    assert!(!tree.at("out/runs/v2v/offline/late_fusion/900/old").exists());
+    assert!(!tree.at("out/anew").exists());
+    let (code, said) = paper(&tree, &[&of("2")[..], &["--shard", "1/2"]].concat());
+    assert!(code == Some(1) && said.contains("drop --shard"), "{said}");
+}
+
+/// All files of one name below a folder.
+fn below(folder: &Path, name: &str) -> Vec<PathBuf> {
+    let entries = fs::read_dir(folder).into_iter().flatten().flatten();
+    let of = |entry: fs::DirEntry| match entry.path() {
+        path if path.is_dir() => below(&path, name),
+        path if path.ends_with(name) => vec![path],
+        _ => Vec::new(),
+    };
+    entries.flat_map(of).collect()
+}
+
+#[test]
+fn a_signal_ends_the_paper_s_run_that_is_under_way() {
+    let tree = tree_of_paper("measure-signal");
+    tree.write("bin/realo", "#!/bin/sh\necho $$ > pid; sleep 3000\n");
+    tree.commit_files(&["."]);
+    let args = [
+        "paper",
+        "--seconds",
+        "1",
+        "--jobs",
+        "1",
+        "--scenes",
+        "2",
+        "--out",
+        "out",
+    ];
+    let args = [&args[..], &["--cell", "i2i/offline/no_fusion"]].concat();
+    let mut paper = tree.command(&args, &tree.0).spawn().expect("it can be started");
+    let run = tree.step();
+    kill(paper.id(), "TERM");
+    until("the command ends", || paper.try_wait().expect("a child").is_some());
+    let output = paper.wait_with_output().expect("it ended");
+    let said = text(&output.stderr);
+    assert_eq!(output.status.code(), Some(143), "{said}");
+    assert!(said.contains("ended by SIGTERM; left: 2 runs"), "{said}");
+    until("the run is gone", || !is_alive(run));
 }

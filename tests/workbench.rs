@@ -249,7 +249,9 @@ card = { about = "A small detector.", limits = ["It finds nothing."] }
     fs::write(at("small.md"), card.replace("| mean | |", "| mean | 9 |")).expect("a card");
     let (code, said, _) = run(&["score", "small.toml", "--check"]);
     assert!(
-        code == Some(1) && said.contains("expected the table of its card"),
+        code == Some(1)
+            && said.contains("expected the table of its card")
+            && said.contains("mean, IoU: expected `9`, found nothing"),
         "{said}"
     );
     let (_, said, _) = run(&["train", "small.recipe.toml"]);

@@ -52,6 +52,8 @@ pub struct Scene {
     pub points: bool,
     /// Names of the car and of the mast.
     pub agents: [&'static str; 2],
+    /// Adds the ground truth.
+    pub truth: bool,
 }
 
 impl Default for Scene {
@@ -61,6 +63,7 @@ impl Default for Scene {
             class: |_| "Car",
             points: true,
             agents: AGENTS,
+            truth: true,
         }
     }
 }
@@ -115,6 +118,9 @@ impl Scene {
         });
         log.detections(name, stamp, ready, &Boxes(detections.collect()))
             .expect("detections are written");
+        if !self.truth {
+            return;
+        }
         let points: Vec<u32> = (0..CARS.len())
             .map(|i| if own.contains(&i) { POINTS } else { 0 })
             .collect();

@@ -180,7 +180,24 @@ fn what_is_done_stays_and_shards_come_together() {
     let record = files(&all, "done.json").remove(0);
     fs::remove_file(record).expect("it is there");
     assert!(run(&all, &[]).1.contains("4 done already, 1 to run"));
-    assert_eq!(run(&one, &["--shard", "1/2"]).0, Some(0));
+    // One whose result was cut says what to do, which helps.
+    let result = files(&all, "result.json").remove(0);
+    let whole = fs::read(&result).expect("a result");
+    fs::write(&result, &whole[..whole.len() / 2]).expect("it can be cut");
+    let (code, err, _) = run(&all, &[]);
+    let of = result.parent().expect("a folder");
+    let remedy = format!(
+        "remove its folder `{}`, and the same command makes it again",
+        of.display()
+    );
+    assert!(code == Some(1) && err.contains(&remedy), "{err}");
+    fs::remove_dir_all(of).expect("it is there");
+    assert_eq!(run(&all, &[]).0, Some(0));
+    let (code, err, _) = run(&one, &["--shard", "1/2"]);
+    assert!(
+        code == Some(0) && err.contains("2 runs in shard 1/2, 0 done already"),
+        "{err}"
+    );
     assert_eq!(run(&two, &["--shard", "2/2", "--jobs", "1"]).0, Some(0));
     let [a, b] = [&one, &two].map(|out| out.to_string_lossy().into_owned());
     let (code, err, said) = run(&merged, &["--merge", &a]);
@@ -194,9 +211,10 @@ fn what_is_done_stays_and_shards_come_together() {
     let table = |out: &Path| fs::read_to_string(out.join("sweep.csv")).expect("a table");
     assert_eq!(table(&all), table(&merged));
     let other = ["--vary", "link.delay_ms=0,100", RECORDED, "--merge", &a];
-    let ran = sweep(&["late_fusion"], &log, &folder("sweep-shards-other"), &other);
+    let nowhere = folder("sweep-shards-other").join("new");
+    let ran = sweep(&["late_fusion"], &log, &nowhere, &other);
     let err = text(&ran.stderr);
-    assert!(!ran.status.success(), "{err}");
+    assert!(!ran.status.success() && !nowhere.exists(), "{err}");
     assert!(
         err.contains("--vary link.delay_ms: `0,100` here, `0,100,200,600` there"),
         "{err}"
@@ -245,6 +263,10 @@ fn settings_that_do_not_exist_are_named_before_anything_runs() {
         ("link.delay_ms=0,0", "there twice"),
         ("link.delay_ms", "no `=`"),
         ("coop=v2x", "expected one of v2v, v2i, i2i"),
+        (
+            "seed=1.5",
+            "--vary seed=1.5: expected a whole number from 0 on, found `1.5`",
+        ),
         ("simulator.seed=1,2", "drop --log"),
         ("protocol=no_such", "no_such"),
     ] {
@@ -253,6 +275,23 @@ fn settings_that_do_not_exist_are_named_before_anything_runs() {
         assert!(!ran.status.success() && err.contains(expected), "{vary}: {err}");
         assert!(!out.join("runs").exists(), "{vary}: nothing was run");
     }
+    let bare = Scene {
+        truth: false,
+        ..Scene::default()
+    };
+    let bare = sweep(
+        &["late_fusion"],
+        &bare.write("sweep-bare"),
+        &out,
+        &["--vary", DELAY, RECORDED],
+    );
+    let err = text(&bare.stderr);
+    assert!(
+        bare.status.code() == Some(1)
+            && err.contains("sweep-bare.mcap: expected ground truth of an ego, found none of `car`"),
+        "{err}"
+    );
+    assert!(!out.join("runs").exists(), "nothing was run");
     let offline = sweep(&["late_fusion"], &log, &out, &["--vary", DELAY, "--offline", RECORDED]);
     assert!(text(&offline.stderr).contains("--offline has neither delays nor loss"));
     let shard = sweep(&["late_fusion"], &log, &out, &["--vary", DELAY, "--shard", "5/4"]);

@@ -19,6 +19,10 @@ pub const RECORD_FILE: &str = "done.json";
 const LOCK_FILE: &str = ".lock";
 /// Where the folders of items are.
 const RUNS: &str = "runs";
+/// Where items are made again while what is there of them stays.
+const ANEW: &str = "anew";
+/// What the name of a folder ends with that is about to be replaced.
+const BEFORE: &str = "before";
 
 /// What cannot be done with a folder.
 #[derive(Debug, thiserror::Error)]
@@ -189,14 +193,77 @@ impl Folder {
     /// # Errors
     /// A system that refuses.
     pub fn finish<T: Serialize>(&self, item: &Item, result: &T) -> Result<(), FolderError> {
-        let record = Record {
-            schema: SCHEMA.into(),
-            version: VERSION,
-            key: item.key.clone(),
-            parts: item.parts.clone(),
-            result,
+        write(&self.of(item).join(RECORD_FILE), &record(item, result))
+    }
+
+    /// Makes an empty folder in which an item is made again; what is there of it stays until [`Folder::replace`].
+    ///
+    /// # Errors
+    /// A system that refuses.
+    pub fn begin_anew(&self, item: &Item) -> Result<PathBuf, FolderError> {
+        let folder = self.anew(item);
+        remove(&folder)?;
+        fs::create_dir_all(&folder).map_err(|reason| unwritable(&folder, reason))?;
+        Ok(folder)
+    }
+
+    /// An item is made again: its new folder, with its record, takes the place of the one before.
+    ///
+    /// # Errors
+    /// A system that refuses.
+    pub fn replace<T: Serialize>(&self, item: &Item, result: &T) -> Result<(), FolderError> {
+        let (to, made) = (self.of(item), self.anew(item));
+        write(&made.join(RECORD_FILE), &record(item, result))?;
+        let before = made.with_added_extension(BEFORE);
+        remove(&before)?;
+        let moved = |from: &Path, to: &Path| match fs::rename(from, to) {
+            Err(reason) if reason.kind() != ErrorKind::NotFound => Err(unwritable(to, reason)),
+            _ => Ok(()),
         };
-        write(&self.of(item).join(RECORD_FILE), &record)
+        moved(&to, &before)?;
+        let parent = to.parent().unwrap_or(&self.path);
+        fs::create_dir_all(parent).map_err(|reason| unwritable(parent, reason))?;
+        fs::rename(&made, &to).map_err(|reason| unwritable(&to, reason))?;
+        remove(&before)?;
+        // Folders in which other items are made stay.
+        let empty = made.ancestors().skip(1).take_while(|folder| *folder != self.path);
+        let _ = empty.map(fs::remove_dir).try_for_each(|removed| removed);
+        Ok(())
+    }
+
+    fn anew(&self, item: &Item) -> PathBuf {
+        self.path.join(ANEW).join(&item.key)
+    }
+
+    /// Refuses shards whose results were made of something else, where neither the folder at `path`, which need not be there, nor a
+    /// shard before has those. Nothing is written.
+    ///
+    /// # Errors
+    /// [`FolderError::Changed`]; a record that cannot be read.
+    pub fn refuse_changed(path: &Path, shards: &[Folder], plan: &Plan) -> Result<(), FolderError> {
+        let here = Folder {
+            path: path.into(),
+            _lock: None,
+        };
+        for item in &plan.items {
+            let mut is_done = matches!(here.earlier::<serde_json::Value>(item)?, Earlier::Done(_));
+            for shard in shards {
+                match shard.earlier::<serde_json::Value>(item)? {
+                    Earlier::Done(_) => is_done = true,
+                    Earlier::Changed(difference) if !is_done => return Err(shard.changed(item, difference)),
+                    Earlier::Changed(_) | Earlier::None => {}
+                }
+            }
+        }
+        Ok(())
+    }
+
+    fn changed(&self, item: &Item, difference: String) -> FolderError {
+        FolderError::Changed {
+            folder: self.path.clone(),
+            key: item.key.clone(),
+            difference,
+        }
     }
 
     /// Takes over what shards have done of the plan and this folder lacks; gives how many items those were.
@@ -210,13 +277,7 @@ impl Folder {
             match (has(self)?, has(shard)?) {
                 (Earlier::Done(_), _) | (_, Earlier::None) => {}
                 (_, Earlier::Done(_)) => wanted.push(item),
-                (_, Earlier::Changed(difference)) => {
-                    return Err(FolderError::Changed {
-                        folder: shard.path.clone(),
-                        key: item.key.clone(),
-                        difference,
-                    });
-                }
+                (_, Earlier::Changed(difference)) => return Err(shard.changed(item, difference)),
             }
         }
         for item in &wanted {
@@ -224,6 +285,25 @@ impl Folder {
             copy(&shard.of(item), &to)?;
         }
         Ok(wanted.len())
+    }
+}
+
+/// What says that an item is done.
+fn record<T>(item: &Item, result: T) -> Record<T> {
+    Record {
+        schema: SCHEMA.into(),
+        version: VERSION,
+        key: item.key.clone(),
+        parts: item.parts.clone(),
+        result,
+    }
+}
+
+/// Removes a folder, if it is there.
+fn remove(folder: &Path) -> Result<(), FolderError> {
+    match fs::remove_dir_all(folder) {
+        Err(reason) if reason.kind() != ErrorKind::NotFound => Err(unwritable(folder, reason)),
+        _ => Ok(()),
     }
 }
 
@@ -352,6 +432,29 @@ mod tests {
     }
 
     #[test]
+    fn what_is_made_again_replaces_what_was_there_only_once_it_is_done() {
+        let here = tempfile::tempdir().unwrap();
+        let plan = plan("0,50", &["late/0", "late/50"]);
+        let folder = Folder::open(here.path(), &plan).unwrap();
+        let item = &plan.items[0];
+        fs::write(folder.begin(item).unwrap().join("a"), "old").unwrap();
+        folder.finish(item, &7).unwrap();
+        let made = folder.begin_anew(item).unwrap();
+        fs::write(made.join("half"), "").unwrap();
+        assert_eq!(done(&folder, &plan)[0], Earlier::Done(7));
+        let again = folder.begin_anew(item).unwrap();
+        assert!(again == made && !made.join("half").exists());
+        fs::write(made.join("b"), "new").unwrap();
+        folder.replace(item, &8).unwrap();
+        folder.begin_anew(&plan.items[1]).unwrap();
+        folder.replace(&plan.items[1], &9).unwrap();
+        assert_eq!(done(&folder, &plan), [Earlier::Done(8), Earlier::Done(9)]);
+        let at = folder.of(item);
+        assert!(at.join("b").exists() && !at.join("a").exists());
+        assert!(!here.path().join(ANEW).exists(), "nothing is left over");
+    }
+
+    #[test]
     fn a_folder_of_another_plan_is_refused_with_the_value() {
         let here = tempfile::tempdir().unwrap();
         Folder::open(here.path(), &plan("0,50", &["a"])).unwrap();
@@ -397,6 +500,12 @@ mod tests {
         );
         let mut other = plan.clone();
         other.items[2] = item("c", "another log");
+        let nowhere = here.path.join("nowhere");
+        let refused = |shards: &[Folder], plan: &Plan| Folder::refuse_changed(&nowhere, shards, plan);
+        let error = refused(std::slice::from_ref(&two), &other).unwrap_err().to_string();
+        assert!(error.contains("`c`") && error.contains("log: "), "{error}");
+        refused(std::slice::from_ref(&two), &plan).unwrap();
+        assert!(!nowhere.exists());
         let error = here.merge(&two, &other).unwrap_err().to_string();
         assert!(error.contains("`c`") && error.contains("log: "), "{error}");
         assert_eq!(here.merge(&two, &plan).unwrap(), 1);

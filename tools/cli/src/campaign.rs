@@ -37,6 +37,10 @@ pub struct Campaign<'a> {
     jobs: usize,
     /// Items to run here and now.
     left: Vec<usize>,
+    /// Whether they are made again beside what is there, which stays until they are done.
+    anew: bool,
+    /// Tasks that the time of the first says nothing about, and what they are.
+    apart: Option<(usize, String)>,
 }
 
 /// How the runs ended.
@@ -54,20 +58,8 @@ impl<'a> Campaign<'a> {
     /// # Errors
     /// A folder or shard of another plan, with the value that differs; no job at a time.
     pub fn open(path: &Path, plan: &'a Plan, parts: &Parts) -> Result<Self> {
-        if parts.jobs == Some(0) {
-            bail!("--jobs: expected 1 or more, found 0");
-        }
-        let cores = std::thread::available_parallelism().map_or(1, usize::from);
-        let folder = Folder::open(path, plan)?;
-        for shard in &parts.merge {
-            let of_shard = Folder::of_shard(shard, plan).wrap_err("--merge")?;
-            let taken = folder.merge(&of_shard, plan).wrap_err("--merge")?;
-            say(&format!(
-                "{}: {taken} of {} runs taken",
-                shard.display(),
-                plan.items.len()
-            ));
-        }
+        let jobs = jobs(parts)?;
+        let folder = merged(path, plan, &parts.merge)?;
         let shard = parts.shard.unwrap_or_default();
         let (mut done, mut left, mut changed) = (0, Vec::new(), Vec::new());
         for at in shard.items(plan.items.len()) {
@@ -85,9 +77,10 @@ impl<'a> Campaign<'a> {
             say(&format!("run again, because something has changed: {}", few(&changed)));
         }
         if !parts.merge.is_empty() && !left.is_empty() {
+            let (are, them) = if left.len() == 1 { ("is", "it") } else { ("are", "them") };
             say(&format!(
-                "{} runs are in none of these folders; the same command without --merge runs them",
-                left.len()
+                "{} {are} in none of these folders; the same command without --merge runs {them}",
+                runs(left.len())
             ));
             left.clear();
         }
@@ -98,15 +91,51 @@ impl<'a> Campaign<'a> {
         };
         let all = shard.items(plan.items.len()).len();
         say(&format!(
-            "{all} runs{of_shard}, {done} done already, {} to run",
+            "{}{of_shard}, {done} done already, {} to run",
+            runs(all),
             left.len()
         ));
         Ok(Campaign {
             plan,
             folder,
-            jobs: parts.jobs.unwrap_or(cores),
+            jobs,
             left,
+            anew: false,
+            apart: None,
         })
+    }
+
+    /// Opens the folder of a plan to make some items, all of them again: what is there of them stays until they are done, and all
+    /// else stays as it is.
+    ///
+    /// # Errors
+    /// A folder of another plan, with the value that differs; no job at a time.
+    pub fn open_anew(path: &Path, plan: &'a Plan, parts: &Parts, is_chosen: impl Fn(&Item) -> bool) -> Result<Self> {
+        let jobs = jobs(parts)?;
+        let folder = Folder::open(path, plan)?;
+        let left: Vec<usize> = (0..plan.items.len()).filter(|at| is_chosen(&plan.items[*at])).collect();
+        let mut there = 0;
+        for at in &left {
+            there += usize::from(folder.earlier::<Value>(&plan.items[*at])? != Earlier::None);
+        }
+        say(&format!(
+            "{} of {} to make, {there} of them made before and made anew",
+            runs(left.len()),
+            plan.items.len()
+        ));
+        Ok(Campaign {
+            plan,
+            folder,
+            jobs,
+            left,
+            anew: true,
+            apart: None,
+        })
+    }
+
+    /// So many tasks are of another kind: the time of the first run says nothing about them, these words do.
+    pub fn set_apart(&mut self, tasks: usize, words: String) {
+        self.apart = (tasks > 0).then_some((tasks, words));
     }
 
     /// The items that are to run, by their numbers in the plan.
@@ -143,8 +172,11 @@ impl<'a> Campaign<'a> {
         let progress = Progress::new(what, "runs", Some(tasks.len() as f64));
         let one = |task: &Task| -> Result<()> {
             let item = &self.plan.items[task.item];
-            let folder = self.folder.begin(item)?;
-            let result = work(item, &folder)?;
+            if self.anew {
+                let result = work(item, &self.folder.begin_anew(item)?)?;
+                return Ok(self.folder.replace(item, &result)?);
+            }
+            let result = work(item, &self.folder.begin(item)?)?;
             Ok(self.folder.finish(item, &result)?)
         };
         let mut heard = 0;
@@ -158,7 +190,7 @@ impl<'a> Campaign<'a> {
                 progress.add(1.0);
                 let key = &self.plan.items[tasks[task.task].item].key;
                 match task.result {
-                    Ok(()) if heard == 1 => {
+                    Ok(()) if heard == 1 && tasks.len() > 1 => {
                         progress.beside(|| say(&self.estimate(task.took)));
                     }
                     Ok(()) => {}
@@ -177,11 +209,15 @@ impl<'a> Campaign<'a> {
     }
 
     fn estimate(&self, first: Duration) -> String {
-        let rounds = self.left.len().div_ceil(self.jobs) as f64;
+        let (apart, words) = match &self.apart {
+            Some((tasks, words)) => (*tasks, format!("; {words}")),
+            None => (0, String::new()),
+        };
+        let all = self.left.len() - apart;
+        let rounds = all.div_ceil(self.jobs) as f64;
         format!(
-            "the first run took {:.1} s; all {} take {} at most, {} at a time, and less where they share what they compute",
+            "the first run took {:.1} s; all {all} take {} at most, {} at a time, and less where they share what they compute{words}",
             first.as_secs_f64(),
-            self.left.len(),
             duration(first.as_secs_f64() * rounds),
             self.jobs
         )
@@ -199,6 +235,52 @@ impl<'a> Campaign<'a> {
             })
         };
         self.plan.items.iter().map(result).collect()
+    }
+}
+
+/// How many run at a time.
+fn jobs(parts: &Parts) -> Result<usize> {
+    if parts.jobs == Some(0) {
+        bail!("--jobs: expected 1 or more, found 0");
+    }
+    let cores = std::thread::available_parallelism().map_or(1, usize::from);
+    Ok(parts.jobs.unwrap_or(cores))
+}
+
+/// The folder of a plan with what shards have done. One that is refused is so before anything is written.
+fn merged(path: &Path, plan: &Plan, merge: &[PathBuf]) -> Result<Folder> {
+    let mut shards = Vec::new();
+    for shard in merge {
+        shards.push(Folder::of_shard(shard, plan).wrap_err("--merge")?);
+    }
+    if !shards.is_empty() {
+        Folder::refuse_changed(path, &shards, plan).wrap_err("--merge")?;
+    }
+    let folder = Folder::open(path, plan)?;
+    for (name, shard) in merge.iter().zip(&shards) {
+        let taken = folder.merge(shard, plan).wrap_err("--merge")?;
+        say(&format!(
+            "{}: {taken} of {} taken",
+            name.display(),
+            runs(plan.items.len())
+        ));
+    }
+    Ok(folder)
+}
+
+/// What helps where the files of a run that is done cannot be read.
+pub fn remedy(folder: &Path) -> String {
+    format!(
+        "a run that is done cannot be read: remove its folder `{}`, and the same command makes it again",
+        folder.display()
+    )
+}
+
+/// So many runs, in words.
+pub fn runs(count: usize) -> String {
+    match count {
+        1 => "1 run".into(),
+        _ => format!("{count} runs"),
     }
 }
 

@@ -1,12 +1,15 @@
 //! `realo-lab score`: what weights reach on the frames that trainings are validated on, to the digit.
 
+mod card;
+
 use std::path::{Path, PathBuf};
 use std::sync::Arc;
 
-use eyre::{Result, WrapErr};
+use eyre::Result;
 use realo_cli::find::model as find_model;
 use realo_cli::{Outcome, Progress};
-use realo_methods::Kernels;
+use realo_methods::{Kernels, Model};
+use realo_nn::model::Precision;
 use realo_training::data::{Frames, LoggedData, left_out_once};
 use realo_training::{Data, FRAMES_APART, MAX_GAP_MS, Validation, frames, score, validation_frames};
 
@@ -15,7 +18,9 @@ use crate::train::{print_left_out, ways};
 /// Instructions in which scores of cards are computed: most machines have them, and all give the same digits.
 pub const ISA: &str = "avx2";
 /// And the number type.
-pub const PRECISION: &str = "f32";
+const PRECISION: &str = "f32";
+/// Begins the table.
+const HEAD: &str = "| AP | IoU | ";
 
 /// Scores weights on validation frames, as their cards do: the digits are the same on every machine
 #[derive(clap::Args)]
@@ -29,9 +34,9 @@ pub struct Args {
     /// Instructions of the kernels
     #[arg(long, default_value = ISA)]
     isa: String,
-    /// Number type of the kernels
-    #[arg(long, default_value = PRECISION)]
-    precision: String,
+    /// Number type of the kernels [default: f32; int8 of a model that is in int8]
+    #[arg(long)]
+    precision: Option<String>,
     /// Threads [default: all]
     #[arg(long)]
     threads: Option<usize>,
@@ -41,12 +46,76 @@ pub struct Args {
     /// Compare with the table in the card beside each model file, NAME.md; the exit code is 1 where one differs
     #[arg(long, conflicts_with_all = ["log", "isa", "precision"])]
     check: bool,
+    /// Put the table into the card beside each model file, NAME.md, in the place of the one that is there; a model without a card gets
+    /// one
+    #[arg(long, conflicts_with_all = ["log", "isa", "precision", "check"])]
+    card: bool,
 }
 
 /// Prints a table for each model.
 pub fn main(args: &Args) -> Result<Outcome> {
+    let files = args.model.iter().map(|name| find_model(name));
+    let mut files: Vec<PathBuf> = files.collect::<Result<_>>()?;
+    let all = files.len();
+    if args.check {
+        // Before minutes go into scores that nothing can be compared with.
+        files.retain(|file| {
+            let card = card::table_of(file);
+            card.inspect_err(|error| eprintln!("realo-lab: {error:#}")).is_ok()
+        });
+    }
+    let mut differs = files.len() < all;
+    if files.is_empty() {
+        return Ok(Outcome::Failed);
+    }
+    let frames = frames_of(args)?;
+    print_left_out(&left_out_once(&*frames, &*frames));
+    for file in &files {
+        let precision = match &args.precision {
+            Some(precision) => precision.clone(),
+            None => precision(&Model::read(file)?),
+        };
+        let progress = Progress::new(format!("scoring {}", file.display()), "", None);
+        let kernels = Kernels {
+            isa: &args.isa,
+            precision: &precision,
+            threads: args.threads.unwrap_or(0),
+        };
+        let score = score(file, kernels, &frames)?;
+        progress.finish();
+        let table = table(&score);
+        if args.check {
+            differs |= !card::agrees(file, &table)?;
+        } else {
+            println!("{}\n\n{table}\n{}", file.display(), ways(&score));
+        }
+        if args.card {
+            println!("{}: written", card::write(file, &table)?.display());
+        }
+    }
+    Ok(if differs { Outcome::Failed } else { Outcome::Complete })
+}
+
+/// The number type in which the scores of a model's card are computed.
+pub fn precision(model: &Model) -> String {
+    match model.precision {
+        Precision::Int8 => Precision::Int8.to_string(),
+        Precision::Bf16 | Precision::F32 => PRECISION.into(),
+    }
+}
+
+/// What a card says above its table.
+pub fn about(stem: &str, model: &Model) -> String {
+    format!(
+        "On simulator seeds 800 to 811, order `sorted`, in {} on {ISA}. `realo-lab score {stem} --check` compares every digit.",
+        precision(model)
+    )
+}
+
+/// The frames that are scored.
+fn frames_of(args: &Args) -> Result<Arc<dyn Frames>> {
     let cache = args.cache.clone();
-    let frames = match args.log.is_empty() {
+    Ok(match args.log.is_empty() {
         true => validation_frames(&Data::Simulated {
             cache,
             seeds: 0..1,
@@ -60,34 +129,14 @@ pub fn main(args: &Args) -> Result<Outcome> {
                 max_gap_ms: MAX_GAP_MS,
             },
         })?,
-    };
-    print_left_out(&left_out_once(&*frames, &*frames));
-    let mut differs = false;
-    for name in &args.model {
-        let file = find_model(name)?;
-        let progress = Progress::new(format!("scoring {}", file.display()), "", None);
-        let kernels = Kernels {
-            isa: &args.isa,
-            precision: &args.precision,
-            threads: args.threads.unwrap_or(0),
-        };
-        let score = score(&file, kernels, &frames)?;
-        progress.finish();
-        let table = table(&score);
-        if args.check {
-            differs |= !agrees(&file, &table)?;
-        } else {
-            println!("{}\n\n{table}\n{}", file.display(), ways(&score));
-        }
-    }
-    Ok(if differs { Outcome::Failed } else { Outcome::Complete })
+    })
 }
 
 /// As [`main`] scores, of one file.
 pub fn of_card(file: &Path, frames: &Arc<dyn Frames>) -> Result<Validation> {
     let kernels = Kernels {
         isa: ISA,
-        precision: PRECISION,
+        precision: &precision(&Model::read(file)?),
         threads: 0,
     };
     Ok(score(file, kernels, frames)?)
@@ -103,7 +152,7 @@ pub fn table(score: &Validation) -> String {
         .map(|(way, _)| *way)
         .collect();
     let mut lines = format!(
-        "| AP | IoU | {} |\n|---|---:|{}\n",
+        "{HEAD}{} |\n|---|---:|{}\n",
         ways.join(" | "),
         "---:|".repeat(ways.len())
     );
@@ -121,23 +170,6 @@ pub fn table(score: &Validation) -> String {
 
 fn digits(ap: Option<f64>) -> String {
     ap.map_or("–".into(), |ap| format!("{ap:.4}"))
-}
-
-/// Whether the card beside a model file holds a table.
-fn agrees(file: &Path, table: &str) -> Result<bool> {
-    let card = file.with_extension("md");
-    let text = std::fs::read_to_string(&card).wrap_err_with(|| {
-        format!(
-            "{}: the card beside the model file, which a recipe writes",
-            card.display()
-        )
-    })?;
-    let agrees = text.contains(table);
-    match agrees {
-        true => println!("{}: the same digits", card.display()),
-        false => println!("{}: expected the table of its card, found\n\n{table}", card.display()),
-    }
-    Ok(agrees)
 }
 
 #[cfg(test)]

@@ -83,7 +83,17 @@ impl TrainingPlan {
 pub(crate) fn differences<T: Serialize>(a: &T, b: &T) -> Vec<(String, Value, Value)> {
     let [a, b] = [a, b].map(|data| serde_json::to_value(data).expect("plain data"));
     let mut found = Vec::new();
-    differ("", &a, &b, &mut found);
+    match (&a, &b) {
+        // A key that one of them leaves out is null there.
+        (Value::Object(first), Value::Object(second)) => {
+            let keys: BTreeSet<&String> = first.keys().chain(second.keys()).collect();
+            for key in keys {
+                let [a, b] = [first, second].map(|object| object.get(key).unwrap_or(&Value::Null));
+                differ(key, a, b, &mut found);
+            }
+        }
+        _ => differ("", &a, &b, &mut found),
+    }
     found
 }
 

@@ -125,14 +125,14 @@ pub enum TrainError {
         error: realo_scoring::ProtocolError,
     },
     /// The loss, the gradient or a weight is no number any more.
-    #[error(
-        "diverged at step {step}, loss {loss}; the checkpoint before is unharmed: resume from it with a lower --rate"
-    )]
+    #[error("diverged at step {step}, loss {loss}; {}", after_diverging(*saved))]
     Diverged {
         /// The step.
         step: u64,
         /// The loss.
         loss: f64,
+        /// Whether there is a checkpoint of a step before.
+        saved: bool,
     },
     /// A thread that prepares samples has ended without a word.
     #[error("the threads that prepare samples have stopped")]
@@ -168,6 +168,17 @@ fn listed(logs: &[PathBuf]) -> String {
 /// A line each.
 fn reasons(left_out: &[LeftOut]) -> String {
     left_out.iter().map(|reason| format!("\n  {reason}")).collect()
+}
+
+/// What to do after a training that diverged.
+fn after_diverging(saved: bool) -> &'static str {
+    match saved {
+        true => "the checkpoint before is unharmed: --resume goes on from it, with a lower --rate",
+        false => {
+            "no checkpoint was written before it: begin again with a lower --rate, and see by `realo info` whether the poses and boxes \
+             of logs are what they should be"
+        }
+    }
 }
 
 /// What to do where a file cannot be written.

@@ -27,6 +27,12 @@ impl Part {
     pub const ALL: [Part; 4] = [Part::Encoder, Part::Compressor, Part::Fusion, Part::Heads];
 }
 
+/// Parts in words.
+pub(crate) fn listed(parts: &[Part]) -> String {
+    let names: Vec<String> = parts.iter().map(Part::to_string).collect();
+    names.join(", ")
+}
+
 impl fmt::Display for Part {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         f.write_str(match self {
@@ -68,6 +74,13 @@ impl Frozen {
     /// Whether a part stays.
     pub fn has(&self, part: Part) -> bool {
         self.0.contains(&part)
+    }
+
+    /// Whether all of a network stays.
+    pub(crate) fn is_all(&self, model: &Model) -> bool {
+        let layers = Layers::of(model);
+        let keys = self.keys(&layers);
+        layers.tensors().all(|spec| keys.contains(&spec.key))
     }
 
     /// Keys of the tensors that stay.

@@ -422,6 +422,19 @@ fn a_full_disk_leaves_the_checkpoint_before() {
 }
 
 #[test]
+fn a_training_in_which_nothing_is_learnt_is_refused() {
+    let folder = Folder::new();
+    let mut options = folder.options("truck", "out");
+    options.freeze = vec![Part::Encoder, Part::Fusion, Part::Heads];
+    let error = train(&options, |_| ()).unwrap_err().to_string();
+    assert!(
+        error.contains("`freeze`: expected parts that leave something to learn, found encoder, fusion, heads"),
+        "{error}"
+    );
+    assert!(!options.output.exists());
+}
+
+#[test]
 fn a_loss_that_is_no_number_ends_the_training_and_saves_nothing() {
     let folder = Folder::new();
     let mut options = folder.options("truck", "out");
@@ -433,7 +446,8 @@ fn a_loss_that_is_no_number_ends_the_training_and_saves_nothing() {
     let saved = fs::read(&checkpoint).unwrap();
     (options.resume, options.optimizer.rate) = (true, 1e30);
     let error = train(&options, |_| ()).unwrap_err();
-    assert!(matches!(error, TrainError::Diverged { .. }), "{error}");
+    assert!(matches!(error, TrainError::Diverged { saved: true, .. }), "{error}");
+    assert!(error.to_string().contains("--resume goes on from it"), "{error}");
     assert!(
         fs::read(&checkpoint).unwrap() == saved,
         "the step that went too far is not kept"

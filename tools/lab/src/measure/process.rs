@@ -3,18 +3,22 @@
 use std::fs::{self, File};
 use std::path::Path;
 use std::process::{Command, Stdio};
+use std::time::Duration;
 
 use eyre::{Result, WrapErr, bail};
+use realo_cli::signals;
 use realo_host::Guard;
 
 /// Lines of a command that failed, which its error repeats.
 const LAST_LINES: usize = 12;
+/// How often is looked whether a command or this process is to end.
+const LOOK: Duration = Duration::from_millis(20);
 
 /// Runs a command in a folder; what it prints goes into the files `NAME.stdout` and `NAME.stderr`. It ends, with all that it
-/// started, when this process does, however that ends.
+/// started, when this process does, however that ends, and at once when a signal is caught.
 ///
 /// # Errors
-/// A command that cannot start, or that ends with another code than 0: the command and its last lines.
+/// A command that cannot start, or that ends with another code than 0: the command and its last lines. A signal.
 pub fn run(program: &Path, args: &[String], folder: &Path, name: &Path) -> Result<()> {
     let [stdout, stderr] = ["stdout", "stderr"].map(|end| name.with_added_extension(end));
     let file = |path: &Path| File::create(path).wrap_err_with(|| path.display().to_string());
@@ -27,8 +31,20 @@ pub fn run(program: &Path, args: &[String], folder: &Path, name: &Path) -> Resul
         .stdout(file(&stdout)?)
         .stderr(file(&stderr)?);
     guard.lead(&mut command);
-    let status = command.status();
-    let status = status.wrap_err_with(|| format!("{} did not start", program.display()))?;
+    let mut child = command
+        .spawn()
+        .wrap_err_with(|| format!("{} did not start", program.display()))?;
+    let status = loop {
+        if let Some(status) = child.try_wait()? {
+            break status;
+        }
+        if let Some(ending) = signals::first() {
+            guard.kill();
+            child.wait()?;
+            bail!("ended by {ending}");
+        }
+        std::thread::sleep(LOOK);
+    };
     if !status.success() {
         let command = shlex::try_join(args.iter().map(String::as_str)).unwrap_or_else(|_| args.join(" "));
         let printed: String = [stdout, stderr].iter().map(last_lines).collect();

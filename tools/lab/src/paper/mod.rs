@@ -10,12 +10,12 @@ mod worlds;
 use std::path::{Path, PathBuf};
 
 use eyre::{Result, bail};
-use realo_cli::campaign::{self, Campaign, Parts};
+use realo_cli::campaign::{self, Campaign, Parts, Task};
 use realo_cli::{Outcome, signals};
 
 use crate::measure::{Programs, Recipes, Tree, root, write_page};
 use page::Sheet;
-use plan::{Cell, Runs};
+use plan::{BENCHES, Cell, Runs};
 use worlds::Worlds;
 
 /// Where a page goes.
@@ -30,7 +30,8 @@ pub struct Args {
     /// Seconds of a scene
     #[arg(long, default_value_t = 5, value_parser = clap::value_parser!(u64).range(1..=60))]
     seconds: u64,
-    /// Only these cells, as v2v/online/attfuse; those that are there already are made anew
+    /// Make only these cells, as v2v/online/attfuse, anew where they are there; all else stays. The page is written where the others are
+    /// there, else the exit code is 3
     #[arg(long, value_name = "MODE/WAY/METHOD")]
     cell: Vec<Cell>,
     #[allow(missing_docs, reason = "clap would print it")]
@@ -47,11 +48,14 @@ pub struct Args {
     allow_dirty: bool,
 }
 
-/// Makes what is missing, and writes the page once all is there.
+/// Makes what is missing, or some cells anew, and writes the page once all is there.
 ///
 /// # Errors
 /// A tree with changes; a folder or shard of another plan; runs that failed, the others being done.
 pub fn main(args: &Args) -> Result<Outcome> {
+    if !args.cell.is_empty() && (!args.parts.merge.is_empty() || args.parts.shard.is_some()) {
+        bail!("--cell: cells are made in one folder: drop --shard or --merge");
+    }
     let root = root(Path::new("."))?;
     let tree = Tree::of(root.clone())?;
     tree.refuse_changes(args.allow_dirty)?;
@@ -59,17 +63,15 @@ pub fn main(args: &Args) -> Result<Outcome> {
     let recipes = Recipes::read(&root)?;
     signals::catch(|| ())?;
     let runs = Runs::new(args.scenes, args.seconds, &tree)?;
-    if !args.cell.is_empty() {
-        if !args.parts.merge.is_empty() || args.parts.shard.is_some() {
-            bail!("--cell: cells are made in one folder: drop --shard or --merge");
-        }
-        runs.forget(&args.out, &args.cell)?;
-    }
-    let campaign = Campaign::open(&args.out, &runs.plan, &args.parts)?;
+    let mut campaign = match args.cell.is_empty() {
+        true => Campaign::open(&args.out, &runs.plan, &args.parts)?,
+        false => Campaign::open_anew(&args.out, &runs.plan, &args.parts, |item| runs.is_of(item, &args.cell))?,
+    };
     let worlds = Worlds::new(&args.out, args.seconds, &programs, &root);
     signals::begin();
     let mut tasks = campaign.tasks();
-    runs.order(&mut tasks);
+    set_benches_apart(&mut campaign, &tasks);
+    plan::order(&mut tasks);
     let ended = campaign.run("the paper's tables", &tasks, |item, folder| {
         runs.make(item, folder, &worlds, &programs, &root)
     });
@@ -77,23 +79,57 @@ pub fn main(args: &Args) -> Result<Outcome> {
         return Err(failed);
     }
     if let Some(ending) = signals::first() {
-        eprintln!("realo-lab: {} runs are left: the same command goes on", ended.not_run);
+        let (left, goes_on) = (campaign::runs(ended.not_run), goes_on(args));
+        eprintln!("realo-lab: ended by {ending}; left: {left}. The same command {goes_on}");
         return Ok(Outcome::Ended(ending.number()));
     }
     let results = campaign.results()?;
     let missing = results.iter().filter(|result| result.is_none()).count();
     if missing > 0 {
-        eprintln!(
-            "realo-lab: {missing} runs of {} are not here yet, so there is no page",
-            results.len()
-        );
-        return Ok(Outcome::Complete);
+        return Ok(no_page(args, missing, results.len()));
     }
     let sheet = Sheet::new(&runs, &results, &recipes)?;
     let text = sheet.markdown(&tree, &command(args))?;
     print!("{}", sheet.tables()?);
     write_page(&args.page.clone().unwrap_or_else(|| root.join(PAGE)), &text)?;
     Ok(Outcome::Complete)
+}
+
+/// Says what is left out of the time of all runs.
+fn set_benches_apart(campaign: &mut Campaign, tasks: &[Task]) {
+    let benches = plan::benches(tasks);
+    let words = format!(
+        "{} ({}) in addition, some minutes each, beside which nothing runs",
+        if benches == 1 { "a bench" } else { "the benches" },
+        BENCHES[BENCHES.len() - benches..].join(", ")
+    );
+    if benches > 0 && benches == tasks.len() {
+        eprintln!("realo-lab: no run, {words}");
+    }
+    campaign.set_apart(benches, words);
+}
+
+/// What a command does that is given again after a signal.
+fn goes_on(args: &Args) -> &'static str {
+    match args.cell.is_empty() {
+        true => "goes on",
+        false => "makes these cells again from the first; what was there of those that are left is there still",
+    }
+}
+
+/// Says what a page lacks.
+fn no_page(args: &Args, missing: usize, all: usize) -> Outcome {
+    let (are, them) = if missing == 1 { ("is", "it") } else { ("are", "them") };
+    let missing = campaign::runs(missing);
+    if args.cell.is_empty() {
+        eprintln!("realo-lab: {missing} of {all} {are} not here yet, so there is no page");
+        return Outcome::Complete;
+    }
+    eprintln!(
+        "realo-lab: these cells are made; {missing} of {all} {are} not here yet, or made of what has changed since, so no page is \
+         written: the same command without --cell makes {them}"
+    );
+    Outcome::Partial
 }
 
 /// The command that writes the page.

@@ -4,6 +4,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 
 use eyre::{Result, WrapErr, eyre};
+use realo_cli::campaign;
 use serde_json::Value;
 
 use super::plan::{BENCHES, METHODS, MODES, Runs, WAYS, bench_key, cells, run_key};
@@ -26,8 +27,10 @@ pub struct Sheet<'a> {
 
 /// What crossed and what was found, of all scenes of a cell.
 fn pooled(folders: &[PathBuf]) -> Result<Value> {
-    let runs = folders.iter().map(|folder| realo_report::read_run(folder.join("run")));
-    let run = realo_report::pool(&runs.collect::<Result<Vec<_>, _>>()?)?;
+    let runs = folders
+        .iter()
+        .map(|folder| realo_report::read_run(folder.join("run")).wrap_err_with(|| campaign::remedy(folder)));
+    let run = realo_report::pool(&runs.collect::<Result<Vec<_>>>()?)?;
     let mut value = serde_json::to_value(&run.result)?;
     value["derived"] = derived(&value);
     Ok(value)

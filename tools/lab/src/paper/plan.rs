@@ -159,32 +159,9 @@ impl Runs {
         })
     }
 
-    /// Removes what is there of some cells.
-    ///
-    /// # Errors
-    /// A folder that cannot be removed.
-    pub fn forget(&self, out: &Path, cells: &[Cell]) -> Result<()> {
-        for (cell, scene) in cells
-            .iter()
-            .flat_map(|cell| (0..self.scenes).map(move |scene| (cell, scene)))
-        {
-            let folder = out.join("runs").join(run_key(cell, scene));
-            match fs::remove_dir_all(&folder) {
-                Err(error) if error.kind() != std::io::ErrorKind::NotFound => {
-                    return Err(error).wrap_err_with(|| folder.display().to_string());
-                }
-                _ => {}
-            }
-        }
-        Ok(())
-    }
-
-    /// Has tasks wait for the benches among them, which are first: nothing runs beside a bench.
-    pub fn order(&self, tasks: &mut [Task]) {
-        let benches = tasks.iter().take_while(|task| task.item < BENCHES.len()).count();
-        for (place, task) in tasks.iter_mut().enumerate() {
-            task.after = (0..benches.min(place)).collect();
-        }
+    /// Whether an item is a run of one of these cells.
+    pub fn is_of(&self, item: &Item, cells: &[Cell]) -> bool {
+        matches!(&self.works[&item.key], Work::Run(cell, _) if cells.contains(cell))
     }
 
     /// Makes a run in its folder; of a bench what it printed.
@@ -223,6 +200,29 @@ impl Runs {
     }
 }
 
+/// How many benches are among tasks, which are in the order of the plan.
+pub fn benches(tasks: &[Task]) -> usize {
+    tasks.iter().take_while(|task| task.item < BENCHES.len()).count()
+}
+
+/// Puts the first run first, since its time says how long the others take, and then the benches, beside which nothing runs.
+pub fn order(tasks: &mut [Task]) {
+    let benches = benches(tasks);
+    let Some(first) = tasks.get_mut(..=benches) else {
+        wait(tasks, benches);
+        return;
+    };
+    first.rotate_right(1);
+    wait(tasks, if benches == 0 { 0 } else { benches + 1 });
+}
+
+/// Has each task wait for all before it, but for those after the first few, which wait for these.
+fn wait(tasks: &mut [Task], first: usize) {
+    for (place, task) in tasks.iter_mut().enumerate() {
+        task.after = (0..first.min(place)).collect();
+    }
+}
+
 /// The key of a bench.
 pub fn bench_key(name: &str) -> String {
     format!("bench/{name}")
@@ -250,6 +250,28 @@ fn sources(tree: &Tree) -> Result<BTreeMap<String, String>> {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    #[test]
+    fn a_run_is_timed_before_the_benches_and_nothing_runs_beside_them() {
+        let ordered = |items: &[usize]| {
+            let task = |item: &usize| Task {
+                item: *item,
+                after: Default::default(),
+            };
+            let mut tasks: Vec<Task> = items.iter().map(task).collect();
+            order(&mut tasks);
+            let after = |task: &Task| (task.item, task.after.iter().copied().collect::<Vec<_>>());
+            tasks.iter().map(after).collect::<Vec<_>>()
+        };
+        assert_eq!(
+            ordered(&[0, 1, 2, 3]),
+            [(2, vec![]), (0, vec![0]), (1, vec![0, 1]), (3, vec![0, 1, 2])]
+        );
+        assert_eq!(ordered(&[1, 7]), [(7, vec![]), (1, vec![0])]);
+        assert_eq!(ordered(&[0, 1]), [(0, vec![]), (1, vec![0])]);
+        assert_eq!(ordered(&[4, 7]), [(4, vec![]), (7, vec![])]);
+        assert_eq!(ordered(&[]), []);
+    }
 
     #[test]
     fn a_cell_is_named_by_mode_way_and_method() {

@@ -50,13 +50,16 @@ impl<'a> Worlds<'a> {
         let mut args: Vec<String> = ["simulate", "--scenario", "mixed", "--seed"].map(String::from).into();
         args.extend([seed.to_string(), "--seconds".into(), self.seconds.to_string()]);
         args.extend((scene % DENSE == DENSE - 1).then(|| "--dense".to_string()));
-        args.extend(["-o".into(), log.display().to_string()]);
+        // What a kill leaves of a log has another name.
+        let partial = self.folder.join(format!("{seed}.partial.mcap"));
+        args.extend(["--force".into(), "-o".into(), partial.display().to_string()]);
         run(
             self.programs.path(Program::Lab),
             &args,
             self.root,
             &self.folder.join(seed.to_string()),
         )?;
+        std::fs::rename(&partial, &log).wrap_err_with(|| log.display().to_string())?;
         Ok(log)
     }
 }

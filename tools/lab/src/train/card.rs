@@ -115,12 +115,10 @@ impl<'a> Card<'a> {
             "## Stages\n\nEach begins with the weights of the one that it names, the first with random numbers.\n\n";
         card += &self.stages();
         card += &format!(
-            "\nData: {}. Products of convolutions in {}.\n\n## Scores\n\nOn simulator seeds 800 to 811, order `sorted`, in {} on {}. \
-             `realo-lab score {stem} --check` compares every digit.\n\n{}\n",
+            "\nData: {}. Products of convolutions in {}.\n\n## Scores\n\n{}\n\n{}\n",
             self.made.data,
             self.made.arithmetic,
-            score::PRECISION,
-            score::ISA,
+            score::about(&stem, &self.model),
             score::table(&self.score)
         );
         if self.curve().is_some() {

@@ -126,6 +126,10 @@ fn made(recipe: &Recipe, how: &How) -> Result<Option<Vec<Made>>> {
     let made = make(recipe, how, &mut |news| {
         match news {
             RecipeNews::There(made) => println!("{}: there already", made.stage.name),
+            RecipeNews::Gone { stage, files } => {
+                let (files, is) = (files.join("`, `"), if files.len() == 1 { "is" } else { "are" });
+                println!("{}: `{files}` {is} gone: made again", stage.name);
+            }
             RecipeNews::Begins { stage, number, of } => {
                 let what = format!("stage {number} of {of}, {}", stage.name);
                 progress = Some(Progress::new(format!("{what}: preparing"), "", None));

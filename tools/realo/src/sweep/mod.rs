@@ -126,6 +126,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         runs,
         not_played,
     } = plan::plan(args, graphs, names)?;
+    plan::refuse_without_truth(&runs)?;
     let campaign = Campaign::open(&args.out, &plan, &args.parts)?;
     signals::begin();
     let ended = plan::run(args, &campaign, &plan, &runs)?;

@@ -7,6 +7,7 @@ use std::sync::Arc;
 use eyre::{Result, WrapErr, bail};
 use realo_cli::campaign::{self, Campaign, Ended, Item, Plan, Task};
 use realo_host::{Outline, Shared};
+use realo_logs::{Log, Stream};
 
 use super::points::Point;
 use super::vary::{self, Vary};
@@ -87,6 +88,30 @@ pub fn plan(args: &Args, graphs: Vec<PathBuf>, names: Vec<String>) -> Result<Pla
         eprintln!("realo: {name} has no place for some of these settings: it is the same for all their values");
     }
     place(args, &names, found, points, not_played.into_iter().collect())
+}
+
+/// Refuses a log without ground truth of any of its egos: nothing of it could be scored.
+///
+/// # Errors
+/// The log and the egos.
+pub fn refuse_without_truth(runs: &BTreeMap<String, RunPlan>) -> Result<()> {
+    let mut egos: BTreeMap<PathBuf, BTreeSet<&str>> = BTreeMap::new();
+    for run in runs.values() {
+        egos.entry(run.log_path()).or_default().insert(run.ego());
+    }
+    for (path, egos) in &egos {
+        let log = Log::open(path)?;
+        if !egos.iter().any(|ego| log.has(ego, Stream::GroundTruth)) {
+            let egos: Vec<&str> = egos.iter().copied().collect();
+            bail!(
+                "{}: expected ground truth of an ego, found none of `{}`: a sweep compares scores, and nothing of this log can be scored; \
+                 simulate or import a log with labels (docs/guide/your-data.md), or take the values one by one by `realo run`",
+                path.display(),
+                egos.join("`, `")
+            );
+        }
+    }
+    Ok(())
 }
 
 /// Orders the runs, and makes the plan.

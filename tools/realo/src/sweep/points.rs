@@ -5,7 +5,7 @@ use std::path::PathBuf;
 use std::rc::Rc;
 
 use eyre::{Result, WrapErr};
-use realo_cli::campaign::Campaign;
+use realo_cli::campaign::{self, Campaign};
 use realo_report::Run;
 use realo_results::scoring;
 use serde_json::Value;
@@ -200,7 +200,8 @@ impl Row {
 
 /// Runs as one, with intervals over logs, or over blocks of scored frames where there is one log.
 fn pool(folders: &[&PathBuf]) -> Result<Run> {
-    let runs: Vec<Run> = folders.iter().map(realo_report::read_run).collect::<Result<_, _>>()?;
+    let read = |folder: &&PathBuf| realo_report::read_run(folder).wrap_err_with(|| campaign::remedy(folder));
+    let runs: Vec<Run> = folders.iter().map(read).collect::<Result<_>>()?;
     let mut run = realo_report::pool(&runs)?;
     if run.result.intervals.is_none()
         && let Some(evaluation) = &run.samples.evaluation

@@ -6,7 +6,7 @@ use std::path::Path;
 use std::rc::Rc;
 
 use eyre::Result;
-use realo_cli::write_whole;
+use realo_cli::{campaign, write_whole};
 use realo_render::{Chart, Curve, Value};
 use realo_report::Run;
 
@@ -17,6 +17,11 @@ const POINTS: &str = "sweep.csv";
 /// A row for each course of a setting: where it does harm.
 const MARGINS: &str = "margins.csv";
 const NONE: &str = "–";
+
+/// So many runs are.
+fn are(count: usize) -> String {
+    format!("{} {}", campaign::runs(count), if count == 1 { "is" } else { "are" })
+}
 
 /// The course of one graph over the values of a setting, the others being fixed.
 struct Course<'a> {
@@ -64,7 +69,7 @@ impl Sweep {
     /// What is shown on the terminal.
     pub fn table(&self) -> String {
         if self.is_empty() {
-            return format!("no point is complete yet: {} runs are missing\n", self.missing());
+            return format!("no point is complete yet: {} missing\n", are(self.missing()));
         }
         let iou = self.iou();
         let mut lines = vec![self.head(&iou)];
@@ -107,8 +112,8 @@ impl Sweep {
         if self.missing() > 0 {
             let _ = writeln!(
                 text,
-                "{} runs are missing: their points have no numbers",
-                self.missing()
+                "{} missing: points without all their runs have no numbers",
+                are(self.missing())
             );
         }
         text

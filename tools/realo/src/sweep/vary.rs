@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::PathBuf;
 use std::str::FromStr;
 
-use eyre::{Result, WrapErr, bail};
+use eyre::{Result, bail, eyre};
 use realo_operator::config::{did_you_mean, nearest_name};
 use realo_player::Coop;
 use realo_stages::Project;
@@ -121,7 +121,6 @@ pub fn combinations(all: &[Vary]) -> Vec<Vec<String>> {
 pub fn apply(all: &[Vary], values: &[String], profile: &str, args: &mut run::Args) -> Result<()> {
     for (vary @ Vary { name, .. }, value) in all.iter().zip(values) {
         let choices = &mut args.choices;
-        let word = || format!("--vary {name}={value}");
         if name.starts_with(WORLD) {
             continue;
         }
@@ -136,7 +135,12 @@ pub fn apply(all: &[Vary], values: &[String], profile: &str, args: &mut run::Arg
             "protocol" => args.protocol = Some(value.clone()),
             "model" => choices.model = Some(PathBuf::from(value)),
             "compute" => args.compute = Some(PathBuf::from(value)),
-            "seed" => choices.seed = Some(value.parse().wrap_err_with(word)?),
+            "seed" => {
+                let seed = value.parse();
+                let seed =
+                    seed.map_err(|_| eyre!("--vary seed={value}: expected a whole number from 0 on, found `{value}`"));
+                choices.seed = Some(seed?);
+            }
             "agents" => args.agents = value.split(AND).map(str::to_string).collect(),
             "project" => choices.project = Some(one_of(Project::ALL, name, value)?),
             "coop" => args.coop = Some(one_of(Coop::RESTRICTED, name, value)?),

@@ -27,7 +27,7 @@ pub struct LeftOut {
     pub of: usize,
 }
 
-/// Why something of a log is left out.
+/// Why something of a log is left out. [`Cause::Cut`] is of no agent.
 #[derive(Clone, Debug, PartialEq, Eq, PartialOrd, Ord, Serialize, Deserialize)]
 pub enum Cause {
     /// The log has no points of the agent.
@@ -48,6 +48,11 @@ pub enum Cause {
         /// What is wrong with the first.
         reason: String,
     },
+    /// The file was cut.
+    Cut {
+        /// Where, and what it lacks.
+        reason: String,
+    },
     /// Labels of a class that the log's protocol does not score.
     UnknownClass {
         /// The class.
@@ -63,11 +68,15 @@ impl fmt::Display for LeftOut {
             log, agent, count, of, ..
         } = self;
         write!(f, "{}: ", log.display())?;
+        if let Cause::Cut { reason } = &self.cause {
+            return f.write_str(reason);
+        }
         let frames = match self.is_labelled {
             true => format!("{count} of {of} frames are left out: `{agent}`, whose labels they have,"),
             false => format!("{count} of {of} frames are without `{agent}`: it"),
         };
         match &self.cause {
+            Cause::Cut { .. } => Ok(()),
             Cause::NoPoints => write!(
                 f,
                 "{frames} has no points in the log; record its clouds, or take a log that has them"

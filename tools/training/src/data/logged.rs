@@ -67,6 +67,7 @@ impl LoggedFrames {
             let path = |stamp: &Nanos| frame_path(folder, identity, *stamp);
             frames.paths.extend(stamps.iter().map(path));
             frames.identities.push(identity);
+            frames.left_out.extend(reading.cut());
             frames.left_out.extend(left_out);
         }
         match frames.paths.is_empty() {
@@ -183,6 +184,20 @@ impl Reading {
             }),
             false => Ok(reading),
         }
+    }
+
+    /// What the log lacks if its file was cut.
+    fn cut(&self) -> Option<LeftOut> {
+        self.log.truncation().map(|cut| LeftOut {
+            log: self.log.path().into(),
+            agent: String::new(),
+            is_labelled: false,
+            cause: Cause::Cut {
+                reason: cut.to_string(),
+            },
+            count: 1,
+            of: 1,
+        })
     }
 
     /// The true poses where the log has them.
@@ -561,6 +576,24 @@ mod tests {
         let other = read();
         assert_ne!(one.identity(), other.identity());
         assert!(other.paths.iter().all(|path| !one.paths.contains(path)));
+    }
+
+    #[test]
+    fn a_log_that_was_cut_says_so_each_time() {
+        let folder = tempfile::tempdir().unwrap();
+        let path = log(folder.path(), true);
+        let whole = std::fs::read(&path).unwrap();
+        std::fs::write(&path, &whole[..whole.len() / 2]).unwrap();
+        for _ in 0..2 {
+            let frames =
+                LoggedFrames::new(&folder.path().join("cache"), &of(std::slice::from_ref(&path), 1.0)).unwrap();
+            let said: Vec<String> = frames.left_out().iter().map(LeftOut::to_string).collect();
+            assert!(
+                said.iter()
+                    .any(|line| line.contains("a.mcap: ") && line.contains("cut")),
+                "{said:?}"
+            );
+        }
     }
 
     #[test]

@@ -9,6 +9,7 @@ use std::time::Instant;
 use realo_methods::{Kernels, Model, load};
 use realo_nn::weights::sha256;
 use serde::{Deserialize, Serialize};
+use serde_json::Value;
 
 use super::mean::mean;
 use super::{Recipe, RecipeError, Stage};
@@ -64,6 +65,13 @@ pub struct Made {
 pub enum RecipeNews<'a> {
     /// A stage was there already.
     There(&'a Made),
+    /// Files of a finished stage are gone, so it is made again, from its checkpoint where that is there.
+    Gone {
+        /// The stage.
+        stage: &'a Stage,
+        /// Their names.
+        files: &'a [String],
+    },
     /// A stage begins or goes on.
     Begins {
         /// The stage.
@@ -111,13 +119,10 @@ pub fn plan(recipe: &Recipe, how: &How) -> Result<Vec<Planned>, RecipeError> {
     for stage in &recipe.stages {
         let Some(steps) = stage.steps else { continue };
         let folder = how.out.join(&stage.name);
-        let failed = |error| RecipeError::Train {
-            stage: stage.name.clone(),
-            error: Box::new(error),
-        };
+        let failed = |error| failed(recipe, stage, error);
         let done = match finished(recipe, stage, &folder)? {
-            Some(_) => steps,
-            None => steps_done(&recipe.beside(&stage.model), &folder).map_err(failed)?,
+            Found::Whole(_) => steps,
+            Found::Gone(_) | Found::None => steps_done(&recipe.beside(&stage.model), &folder).map_err(failed)?,
         };
         let pace = match done < steps {
             true => pace(&pilot(recipe, stage, how).map_err(failed)?, PILOT).map_err(failed)?,
@@ -174,11 +179,15 @@ pub fn make(
     let mut made: Vec<Made> = Vec::new();
     for (index, stage) in recipe.stages.iter().enumerate() {
         let folder = how.out.join(&stage.name);
-        if let Some(there) = finished(recipe, stage, &folder)? {
-            check_begun_with(recipe, stage, &there, &made, &folder)?;
-            let _ = observer(&RecipeNews::There(&there));
-            made.push(there);
-            continue;
+        match finished(recipe, stage, &folder)? {
+            Found::Whole(there) => {
+                check_begun_with(recipe, stage, &there, &made, &folder)?;
+                let _ = observer(&RecipeNews::There(&there));
+                made.push(*there);
+                continue;
+            }
+            Found::Gone(files) => _ = observer(&RecipeNews::Gone { stage, files: &files }),
+            Found::None => {}
         }
         let left = how
             .minutes
@@ -191,10 +200,7 @@ pub fn make(
             number: index + 1,
             of: recipe.stages.len(),
         });
-        let failed = |error| RecipeError::Train {
-            stage: stage.name.clone(),
-            error: Box::new(error),
-        };
+        let failed = |error| failed(recipe, stage, error);
         let how = How {
             minutes: left,
             ..how.clone()
@@ -350,12 +356,22 @@ fn record(
     })
 }
 
-/// What a folder says of its stage, if it is finished.
-fn finished(recipe: &Recipe, stage: &Stage, folder: &Path) -> Result<Option<Made>, RecipeError> {
+/// What is there of a stage.
+enum Found {
+    /// All of it.
+    Whole(Box<Made>),
+    /// It was finished, and these files are gone.
+    Gone(Vec<String>),
+    /// It was not finished.
+    None,
+}
+
+/// What a folder says of its stage.
+fn finished(recipe: &Recipe, stage: &Stage, folder: &Path) -> Result<Found, RecipeError> {
     let path = folder.join(RECORD);
     let text = match fs::read_to_string(&path) {
         Ok(text) => text,
-        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(None),
+        Err(error) if error.kind() == std::io::ErrorKind::NotFound => return Ok(Found::None),
         Err(error) => return Err(RecipeError::File { path, error }),
     };
     let made: Made = serde_json::from_str(&text).map_err(|error| RecipeError::Parse {
@@ -370,14 +386,55 @@ fn finished(recipe: &Recipe, stage: &Stage, folder: &Path) -> Result<Option<Made
     let found = differences(&bare(&made.stage), &bare(stage));
     if !found.is_empty() {
         let found = found.into_iter();
-        let found = found.map(|(name, was, asked)| format!("{name}: was {was}, now {asked} is asked for"));
+        let shown = |value: Value| match value {
+            Value::Null => "not given".to_string(),
+            given => given.to_string(),
+        };
+        let found =
+            found.map(|(name, was, asked)| format!("{name}: was {}, now {} is asked for", shown(was), shown(asked)));
         return Err(changed(stage, folder, found.collect::<Vec<_>>().join("; ")));
     }
-    Ok(Some(Made {
+    let made = Made {
         stage: stage.clone(),
         file: folder.join(recipe.beside(&stage.model).file_name().unwrap_or_default()),
         ..made
-    }))
+    };
+    let names = made.weights.keys().cloned();
+    let names = names.chain(made.file.file_name().map(|name| name.to_string_lossy().into()));
+    let gone: Vec<String> = names.filter(|name| !folder.join(name).is_file()).collect();
+    if !gone.is_empty() {
+        return Ok(Found::Gone(gone));
+    }
+    for (name, was) in &made.weights {
+        let path = folder.join(name);
+        let bytes = fs::read(&path).map_err(|error| RecipeError::File { path, error })?;
+        let is = sha256(&bytes);
+        if is != *was {
+            return Err(changed(
+                stage,
+                folder,
+                format!("`{name}` had sha256 {was}, and has {is}"),
+            ));
+        }
+    }
+    Ok(Found::Whole(Box::new(made)))
+}
+
+/// What became of a stage's training.
+fn failed(recipe: &Recipe, stage: &Stage, error: TrainError) -> RecipeError {
+    match error {
+        TrainError::Diverged { step, loss, saved } => RecipeError::Diverged {
+            path: recipe.file.clone(),
+            stage: stage.name.clone(),
+            step,
+            loss,
+            saved,
+        },
+        error => RecipeError::Train {
+            stage: stage.name.clone(),
+            error: Box::new(error),
+        },
+    }
 }
 
 fn changed(stage: &Stage, folder: &Path, differences: String) -> RecipeError {

@@ -14,7 +14,7 @@ use serde::{Deserialize, Serialize};
 pub use self::install::install;
 pub use self::make::{How, Made, Planned, RecipeNews, make, plan};
 use crate::TrainError;
-use crate::freeze::Part;
+use crate::freeze::{Frozen, Part, listed};
 use crate::scored::FRAMES_APART;
 use crate::train::{BATCH, PARTS, PER_SEED, SEEDS};
 
@@ -193,6 +193,27 @@ pub enum RecipeError {
         /// Which settings.
         differences: String,
     },
+    /// A training whose loss is no number any more.
+    #[error(
+        "stage `{stage}`: diverged at step {step}, loss {loss}: give it a lower `rate` in `{}`, and the same command {}",
+        path.display(),
+        match saved {
+            true => "goes on from its last checkpoint, which is unharmed",
+            false => "begins it again: it had no checkpoint yet",
+        }
+    )]
+    Diverged {
+        /// The recipe.
+        path: PathBuf,
+        /// The stage.
+        stage: String,
+        /// The step.
+        step: u64,
+        /// The loss.
+        loss: f64,
+        /// Whether there is a checkpoint of a step before.
+        saved: bool,
+    },
     /// A training that failed.
     #[error("stage `{stage}`: {error}")]
     Train {
@@ -249,12 +270,17 @@ impl Recipe {
         if before.iter().any(|other| other.name == stage.name) {
             return refuse("name", "a name of its own", "that of a stage before");
         }
-        if let Err(error) = Model::read(&self.beside(&stage.model)) {
-            return refuse("model", "a model file beside the recipe", &error.to_string());
+        match Model::read(&self.beside(&stage.model)) {
+            Err(error) => return refuse("model", "a model file beside the recipe", &error.to_string()),
+            Ok(model) if stage.mean.is_empty() && Frozen::of(&model, &stage.freeze).is_all(&model) => {
+                return refuse("freeze", "parts that leave something to learn", &listed(&stage.freeze));
+            }
+            Ok(_) => {}
         }
         self.check_names(stage, before)?;
         match (stage.steps, &stage.mean[..]) {
             (None, []) => refuse("steps", "steps of a training, or `mean` of stages", "neither"),
+            (Some(0), []) => refuse("steps", "at least 1", "0"),
             (Some(steps), [_, ..]) => refuse("steps", "none beside `mean`", &steps.to_string()),
             (None, [only]) => refuse("mean", "two stages at least", &format!("`{only}` alone")),
             (None, [..]) if stage.from.is_some() => refuse("from", "none beside `mean`", "one"),

@@ -113,6 +113,58 @@ fn stages_are_made_once_and_a_recipe_that_was_stopped_goes_on() {
 }
 
 #[test]
+fn a_stage_whose_weights_are_gone_is_made_again_and_one_with_others_is_named() {
+    let (folder, file) = folder(THREE);
+    let (recipe, how) = (Recipe::read(&file).unwrap(), how(folder.path()));
+    let made = |heard: &mut Vec<String>| {
+        make(&recipe, &how, &mut |news| {
+            match news {
+                RecipeNews::There(made) => heard.push(made.stage.name.clone()),
+                RecipeNews::Gone { stage, files } => heard.push(format!("{}: {}", stage.name, files.join(" "))),
+                _ => {}
+            }
+            ControlFlow::Continue(())
+        })
+    };
+    let first = made(&mut Vec::new()).unwrap().unwrap();
+    let weights = how.out.join("second/small.safetensors");
+    let was = fs::read(&weights).unwrap();
+    fs::remove_file(&weights).unwrap();
+    let mut heard = Vec::new();
+    assert_eq!(made(&mut heard).unwrap().unwrap(), first);
+    assert_eq!(heard, ["first", "second: small.safetensors", "both"]);
+    assert!(fs::read(&weights).unwrap() == was, "its checkpoint gives the same");
+    fs::copy(how.out.join("first/small.safetensors"), &weights).unwrap();
+    let error = made(&mut Vec::new()).unwrap_err().to_string();
+    assert!(
+        error.contains("stage `second`") && error.contains("`small.safetensors` had sha256"),
+        "{error}"
+    );
+}
+
+#[test]
+fn a_stage_that_diverges_says_what_can_be_done_in_the_recipe() {
+    let (folder, file) = folder(&THREE.replacen("steps = 3", "steps = 3\nrate = 1e30", 1));
+    let how = How {
+        checkpoint_minutes: 100.0,
+        ..how(folder.path())
+    };
+    let said = || {
+        let made = make(&Recipe::read(&file).unwrap(), &how, &mut |_| ControlFlow::Continue(()));
+        made.unwrap_err().to_string()
+    };
+    let error = said();
+    for part in [
+        "stage `first`: diverged at step",
+        "give it a lower `rate` in `",
+        "begins it again: it had no checkpoint yet",
+    ] {
+        assert!(error.contains(part), "{part}: {error}");
+    }
+    assert!(!error.contains("--r"), "no option of a recipe: {error}");
+}
+
+#[test]
 fn a_stage_that_was_made_otherwise_is_named_with_what_differs() {
     let (folder, file) = folder(THREE);
     let how = how(folder.path());
@@ -128,6 +180,15 @@ fn a_stage_that_was_made_otherwise_is_named_with_what_differs() {
     for part in ["stage `second`", "steps: was 2, now 4 is asked for", "out/second"] {
         assert!(error.contains(part), "{error}");
     }
+    // A key that is there only once is named alone.
+    fs::write(&file, THREE.replacen("steps = 2", "steps = 2\nrate = 1e-3", 1)).unwrap();
+    let error = make(&Recipe::read(&file).unwrap(), &how, &mut go_on)
+        .unwrap_err()
+        .to_string();
+    assert!(
+        error.contains("was made otherwise: rate: was not given, now 0.001 is asked for;"),
+        "{error}"
+    );
     // The one that it began with is made anew, by other draws.
     fs::write(&file, THREE.replacen("steps = 3", "steps = 3\nseed = 9", 1)).unwrap();
     fs::remove_dir_all(how.out.join("first")).unwrap();
@@ -161,6 +222,14 @@ fn what_a_recipe_gets_wrong_is_named_with_file_stage_and_key() {
         ),
         (("steps = 2", "step = 2"), ["unknown field `step`", "small.recipe.toml"]),
         (("steps = 2\n", ""), ["stage `second`: steps", "found neither"]),
+        (
+            ("steps = 2", "steps = 0"),
+            ["stage `second`: steps", "expected at least 1, found 0"],
+        ),
+        (
+            ("freeze = [\"encoder\"]", "freeze = [\"encoder\", \"heads\"]"),
+            ["stage `second`: freeze", "something to learn, found encoder, heads"],
+        ),
         (
             ("model = \"small.toml\"", "model = \"smal.toml\""),
             ["stage `first`: model", "smal.toml"],

@@ -14,13 +14,13 @@ use realo_nn::weights::{Weights, sha256};
 
 use super::source::{Filling, Source};
 use super::time::{Pace, Time};
-use super::{Data, News, Observer, Progress, TrainOptions, Trained};
+use super::{Data, News, Observer, Progress, TrainOptions, Trained, option};
 use crate::TrainError;
 use crate::checkpoint::{Checkpoint, TrainingPlan, write_weights};
 use crate::compressor;
 use crate::curve::{Curve, Point};
 use crate::data::{Batch, Frames, LATER, REACH, Sampling, Supply, left_out_once, write_whole};
-use crate::freeze::Frozen;
+use crate::freeze::{Frozen, listed};
 use crate::fusing::{Start, beginning, fuses, start};
 use crate::layers::Arithmetic;
 use crate::loss::LossWeights;
@@ -164,6 +164,13 @@ impl<'a> Training<'a> {
         observer: &mut Observer,
     ) -> Result<Self, TrainError> {
         check_frames_suit(&model)?;
+        if Frozen::of(&model, &options.freeze).is_all(&model) {
+            return Err(option(
+                "freeze",
+                "parts that leave something to learn",
+                listed(&options.freeze),
+            ));
+        }
         let checkpoint = options.output.join(CHECKPOINT);
         if weights(&model, &options.output).contains(&checkpoint) {
             let reason = "its `name`, `weights` or `encoder` is `checkpoint`, whose place its weights would take: name them otherwise".into();
@@ -393,18 +400,12 @@ impl<'a> Training<'a> {
         let class = pass.losses.iter().map(|loss| loss.class).sum::<f64>();
         let regression = pass.losses.iter().map(|loss| loss.regression).sum::<f64>();
         if !(class + regression + pass.lesson).is_finite() {
-            return Err(TrainError::Diverged {
-                step,
-                loss: class + regression,
-            });
+            return Err(self.diverged(step, class + regression));
         }
         let rate = how.rate_at(step.max(self.due), self.options.steps);
         let gradient = optimizer.step(network, &pass.gradients, rate, how)?;
         if !gradient.is_finite() {
-            return Err(TrainError::Diverged {
-                step,
-                loss: class + regression,
-            });
+            return Err(self.diverged(step, class + regression));
         }
         let point = Point {
             step,
@@ -495,14 +496,19 @@ impl<'a> Training<'a> {
         Ok(())
     }
 
+    fn diverged(&self, step: u64, loss: f64) -> TrainError {
+        TrainError::Diverged {
+            step,
+            loss,
+            saved: self.checkpoint.exists(),
+        }
+    }
+
     /// Writes everything; each file is replaced as a whole.
     fn save(&self, state: &Checkpoint) -> Result<PathBuf, TrainError> {
         let output = |name: &str| self.options.output.join(name);
         if let (false, Some(point)) = (state.network.is_finite(), state.curve.points.last()) {
-            return Err(TrainError::Diverged {
-                step: point.step,
-                loss: point.loss(),
-            });
+            return Err(self.diverged(point.step, point.loss()));
         }
         state.write(&self.checkpoint)?;
         let weights = weights(&self.model, &self.options.output);
