@@ -82,7 +82,9 @@ impl Tree {
     }
 
     fn command(&self, args: &[&str], folder: &Path) -> Command {
-        let mut command = Command::new(self.at("bin/realo-lab"));
+        // Whoever starts tests in the background of a script has them ignore Ctrl-C, and all that they start.
+        let mut command = Command::new("env");
+        command.arg("--default-signal=INT").arg(self.at("bin/realo-lab"));
         command.args(args).current_dir(folder);
         command
             .stdin(Stdio::null())
