@@ -83,7 +83,7 @@ impl Tree {
 
     fn command(&self, args: &[&str], folder: &Path) -> Command {
         // Whoever starts tests in the background of a script has them ignore Ctrl-C, and all that they start.
-        let mut command = Command::new("env");
+        let mut command = Command::new("/usr/bin/env");
         command.arg("--default-signal=INT").arg(self.at("bin/realo-lab"));
         command.args(args).current_dir(folder);
         command
