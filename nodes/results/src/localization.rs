@@ -230,12 +230,12 @@ mod tests {
         let folder = tempfile::tempdir().unwrap();
         let behind = |at: Nanos| at - 3 * S;
         let back = |at: Nanos| at - if at < 1_005 * S { 0 } else { S };
-        let clocks: [(&str, &dyn Fn(Nanos) -> Nanos, StampRule); 3] = [
-            ("behind", &behind, StampRule::Rebase),
+        type Clock<'a> = &'a dyn Fn(Nanos) -> Nanos;
+        for (name, clock, rule) in [
+            ("behind", &behind as Clock, StampRule::Rebase),
             ("back", &back, StampRule::DropFar),
             ("back", &back, StampRule::Rebase),
-        ];
-        for (name, clock, rule) in clocks {
+        ] {
             let path = folder.path().join(format!("{name}.mcap"));
             let agent = AgentInfo {
                 name: "cav1".into(),

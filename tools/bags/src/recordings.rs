@@ -133,7 +133,9 @@ mod tests {
     #[test]
     fn a_bag_without_clouds_is_of_the_bag_that_is_nearest() {
         let (clouds, poses) = ("sensor_msgs/PointCloud2", "nav_msgs/Odometry");
-        let cases: [(&[(&str, &str)], &[&[&str]], &[&str]); 5] = [
+        /// Bags with what they have, those of each recording, and those of none.
+        type Case<'a> = (&'a [(&'a str, &'a str)], &'a [&'a [&'a str]], &'a [&'a str]);
+        let cases: [Case; 5] = [
             (
                 &[("x/gnss.bag", poses), ("y/lidar.bag", clouds)],
                 &[&["y/lidar.bag", "x/gnss.bag"]],
