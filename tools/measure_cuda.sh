@@ -4,7 +4,7 @@
 # synchronising first it would be `synchronisation` longer. Nothing here trains: training runs on the CPU.
 #
 # Usage: tools/measure_cuda.sh [GRAPH:MODEL...; default: all methods in `lite` and `full`]
-# DEVICES="cuda cpu" are compared; DEVICES=cpu tries the script where there is no GPU.
+# DEVICES="cuda cpu" are compared; DEVICES=cpu tries the script where there is no GPU. RATE: seconds of log in a second, 0.2.
 set -euo pipefail
 cd "$(dirname "$0")/.."
 
@@ -26,12 +26,12 @@ if [ $# -eq 0 ]; then
 fi
 for device in $devices; do
   for run in "${runs[@]}"; do
-    # Scores are of runs offline, times of runs in realtime, at the rate that the machine keeps up with.
+    # Scores are of runs offline, times of runs in realtime, slow enough for the largest networks.
     for mode in offline realtime; do
       folder=$out/$device/${run/:/-}/$mode
       mkdir -p "$folder"
       options=(--offline)
-      [ $mode = realtime ] && options=(--rate auto)
+      [ $mode = realtime ] && options=(--rate "${RATE:-0.2}")
       target/release/realo run "${run%%:*}" --model "${run#*:}" --device "$device" --precision f32 --ego cav1 --agents cav1,cav2 \
         --log "$log" --out "$folder" "${options[@]}" > "$folder.txt" 2>&1 || echo "$run on $device failed: see $folder.txt"
     done
