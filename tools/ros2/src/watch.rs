@@ -26,7 +26,7 @@ pub fn pose_type(name: &str) -> Option<(Kind, &'static str)> {
 /// Fields of a map file that mean something in recordings alone.
 pub fn unused(map: &AgentMap) -> Vec<&'static str> {
     let fields = [
-        ("bag", map.bag.is_some()),
+        ("bag", !map.bag.is_empty()),
         ("imu", map.imu.is_some()),
         ("truth", map.truth.is_some()),
         ("detections", map.detections.is_some()),
