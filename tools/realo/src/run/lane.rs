@@ -178,12 +178,10 @@ pub fn precomputed(
         );
     }
     if let Some(missing) = run.collaborators.iter().find(|agent| !has(agent)) {
+        let (word, ego) = (realo_logs::shell::word(log.path()), &run.ego);
         bail!(
-            "{path} has no precomputed messages of {missing}, which collaborates with {} too: precompute these as well \
-             (`realo precompute {} … --agent {missing}`), or choose among those that it has: --agents {},{}",
-            realo_logs::shell::word(log.path()),
-            run.ego,
-            run.ego,
+            "{path} has no precomputed messages of {missing}, which collaborates with {ego} too: precompute these as well \
+             (`realo precompute {word} … --agent {missing}`), or choose among those that it has: --agents {ego},{}",
             known.agents.join(",")
         );
     }
