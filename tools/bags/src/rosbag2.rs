@@ -10,6 +10,7 @@ use tempfile::NamedTempFile;
 
 use crate::open::{open_file, unpacked};
 use crate::pack::{ZSTD, unpack_message};
+use crate::source::span_over;
 use crate::{Bag, BagError, Connection, Encoding, Message, Messages};
 
 /// What a folder of ROS 2 has beside its parts.
@@ -260,11 +261,7 @@ impl Bag for Rosbag2 {
     }
 
     fn span(&self) -> Option<[Nanos; 2]> {
-        let spans = || self.parts.iter().filter_map(|part| part.bag.span());
-        Some([
-            spans().map(|[first, _]| first).min()?,
-            spans().map(|[_, last]| last).max()?,
-        ])
+        span_over(self.parts.iter().filter_map(|part| part.bag.span()))
     }
 
     fn notes(&self) -> &[String] {

@@ -142,6 +142,11 @@ impl Message {
     }
 }
 
+/// From the first to the last time of spans, ns; `None` without any.
+pub(crate) fn span_over(spans: impl Iterator<Item = [Nanos; 2]>) -> Option<[Nanos; 2]> {
+    spans.reduce(|[first, last], [from, until]| [first.min(from), last.max(until)])
+}
+
 /// A recording of topics.
 pub trait Bag {
     /// The file or folder.

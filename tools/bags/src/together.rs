@@ -6,6 +6,7 @@ use std::rc::Rc;
 
 use realo_schemas::Nanos;
 
+use crate::source::span_over;
 use crate::{Bag, BagError, Connection, Message, Messages};
 
 /// Bags whose stamps are of one clock, as one bag: a topic that several of them have is one topic.
@@ -69,11 +70,7 @@ impl Bag for Together {
     }
 
     fn span(&self) -> Option<[Nanos; 2]> {
-        let spans = || self.parts.iter().filter_map(|part| part.bag.span());
-        Some([
-            spans().map(|[first, _]| first).min()?,
-            spans().map(|[_, last]| last).max()?,
-        ])
+        span_over(self.parts.iter().filter_map(|part| part.bag.span()))
     }
 
     fn notes(&self) -> &[String] {
