@@ -90,7 +90,7 @@ fn main() -> Result<(), Box<dyn std::error::Error>> {
         ego_from_sender: wrong,
         sender: Vector2::new(32.1, 9.9),
         age_s: 0.0,
-        stated_m: None,
+        stated: None,
     };
     let view = View::of(&sweep);
     let ego = Ego {

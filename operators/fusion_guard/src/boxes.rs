@@ -6,7 +6,7 @@ use realo_schemas::geometry::detection_fault;
 use realo_schemas::{Box3, Boxes, Payload};
 
 use crate::clock::ahead_s;
-use crate::fit::{Fit, Noise, Scene};
+use crate::fit::{Fit, Noise, Scene, Stated};
 use crate::objects::{Object, objects, surest};
 use crate::record::Record;
 use crate::search::{Found, Reach, search};
@@ -50,8 +50,8 @@ pub struct Origin {
     pub sender: Vector2<f64>,
     /// The ego's stamp less the message's, s.
     pub age_s: f64,
-    /// Standard deviation of its place as it says itself, m.
-    pub stated_m: Option<f64>,
+    /// How sure its place is in the ego's frame, as it and the ego say themselves; `None` where it says nothing.
+    pub stated: Option<Stated>,
 }
 
 /// What was found of a message.
@@ -139,7 +139,7 @@ pub fn judge(
     let mut after = record.clone();
     after.observe(shares.confirmed(), shares.contradicted);
     after.observe_apart(&shares.apart);
-    let pose_m = record.pose_error_m(origin.stated_m);
+    let pose_m = record.pose_error_m(origin.stated.map(|stated| stated.place_m));
     let scatter = after.scatter();
     let reason = shares.reason(is_found, after.trust(), scatter, pose_m);
     let mut judgement = Judgement {
@@ -219,7 +219,14 @@ fn place(theirs: &[Object], ego: &Ego, origin: &Origin, limits: &Limits) -> Resu
         let against: f64 = theirs.iter().filter(free).map(|object| object.score).sum();
         AGAINST * against + AGAINST_METRE * shift.metres() + AGAINST_RADIAN * shift.turn.abs()
     };
-    let found = search(&scene, origin.sender, &limits.reach, &limits.noise, penalty)?;
+    let found = search(
+        &scene,
+        origin.sender,
+        &limits.reach,
+        &limits.noise,
+        origin.stated.as_ref(),
+        penalty,
+    )?;
     let middle = scene.middle().unwrap_or_default();
     let moved = (found.fit.shift.place(&middle) - middle).norm();
     let size = usize::from(moved > SMALL_M);

@@ -68,7 +68,7 @@ pub fn lay_over(ego: &[Object], theirs: &[Object], noise: &Noise) -> Result<Opti
         .iter()
         .find(|(_, shift)| elsewhere(shift))
         .map_or(0.0, |(support, _)| *support);
-    let fit = fit(&scene, &best, &anywhere)?;
+    let fit = fit(&scene, &best, &anywhere, None)?;
     Ok((fit.pairs.len() >= PAIRS && support > CLEAR * other).then_some(fit))
 }
 

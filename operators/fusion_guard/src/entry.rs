@@ -7,6 +7,7 @@ use realo_schemas::{Box3, Boxes, Header, Message, Name, Nanos, Payload, Pose, fr
 
 use crate::boxes::{Ego, Judgement, Limits, Origin, Said, judge};
 use crate::constellation::lay_over;
+use crate::fit::Stated;
 use crate::map_boxes::{MapContent, without_cells_of};
 use crate::objects::{Object, objects};
 use crate::overlay::judge_points;
@@ -45,7 +46,8 @@ impl Entry {
         constellations: bool,
     ) -> Result<Self, AssignmentError> {
         let had_wrong_covariance = drop_wrong_covariance(&mut message.header);
-        let map_from_ego = ego.pose.as_ref().map(|pose| pose.map_from_frame);
+        let ego_pose = ego.pose.as_ref();
+        let map_from_ego = ego_pose.map(|pose| pose.map_from_frame);
         let had_no_pose = message.header.pose.is_none();
         if let (true, true, Some(map_from_ego), Some(boxes)) = (
             had_no_pose,
@@ -58,7 +60,7 @@ impl Entry {
                 message.header.pose = Some(Pose::exact(map_from_ego * fit.shift.isometry()));
             }
         }
-        let origin = map_from_ego.and_then(|map_from_ego| origin(&map_from_ego, ego.stamp, &message.header));
+        let origin = ego_pose.and_then(|pose| origin(pose, ego.stamp, &message.header));
         Ok(Entry {
             had_no_pose: had_no_pose && origin.is_some(),
             origin,
@@ -113,32 +115,48 @@ fn boxes<'a>(payload: &'a Payload, shown: Option<&'a MapContent>) -> Option<&'a 
     }
 }
 
-fn origin(map_from_ego: &Isometry3<f64>, stamp: Nanos, header: &Header) -> Option<Origin> {
+fn origin(ego: &Pose, stamp: Nanos, header: &Header) -> Option<Origin> {
+    let map_from_ego = &ego.map_from_frame;
     let pose = header.pose.as_ref()?;
     let ego_from_sender = relative(map_from_ego, &pose.map_from_frame);
     let sender = match header.sender_position() {
         Some(position) => map_from_ego.inverse_transform_point(&position.into()).coords,
         None => ego_from_sender.translation.vector,
     };
-    let stated = pose
-        .covariance
-        .as_ref()
-        .map(|covariance| (0.5 * (covariance[0] + covariance[7])).sqrt());
+    let sender = Vector2::new(sender.x, sender.y);
     Some(Origin {
         ego_from_sender,
-        sender: Vector2::new(sender.x, sender.y),
+        sender,
         age_s: to_seconds(stamp.saturating_sub(header.stamp)),
-        stated_m: stated,
+        stated: stated(ego, pose, sender.norm()),
     })
+}
+
+/// How sure a collaborator's place is in the ego's frame, `metres` away: by what it says of its pose, and the ego of its own. An ego that
+/// says nothing is taken to be sure.
+fn stated(ego: &Pose, pose: &Pose, metres: f64) -> Option<Stated> {
+    let variances = |covariance: &[f64; 36]| [0.5 * (covariance[0] + covariance[7]), covariance[35]];
+    let [place, heading] = variances(pose.covariance.as_ref()?);
+    let of_ego = ego.covariance.as_ref().filter(|covariance| is_covariance(covariance));
+    let [ego_place, ego_heading] = of_ego.map_or([0.0; 2], |covariance| variances(covariance));
+    Some(Stated {
+        place_m: (place + ego_place + metres * metres * ego_heading).sqrt(),
+        heading_rad: (heading + ego_heading).sqrt(),
+    })
+}
+
+/// Whether these may be a covariance: finite numbers, and variances that are not negative.
+fn is_covariance(covariance: &[f64; 36]) -> bool {
+    covariance.iter().all(|number| number.is_finite()) && (0..6).all(|axis| covariance[7 * axis] >= 0.0)
 }
 
 /// Forgets a covariance that is none; whether it was one.
 fn drop_wrong_covariance(header: &mut Header) -> bool {
     let Some(pose) = &mut header.pose else { return false };
-    let is_one = |covariance: &[f64; 36]| {
-        covariance.iter().all(|number| number.is_finite()) && (0..6).all(|axis| covariance[7 * axis] >= 0.0)
-    };
-    let is_wrong = pose.covariance.as_ref().is_some_and(|covariance| !is_one(covariance));
+    let is_wrong = pose
+        .covariance
+        .as_ref()
+        .is_some_and(|covariance| !is_covariance(covariance));
     if is_wrong {
         pose.covariance = None;
     }

@@ -19,6 +19,15 @@ pub struct Noise {
     pub pose_rad: f64,
 }
 
+/// How sure a collaborator's pose is in the ego's frame, as both say of their own.
+#[derive(Clone, Copy, Debug, PartialEq)]
+pub struct Stated {
+    /// Standard deviation of its place along an axis, m.
+    pub place_m: f64,
+    /// Standard deviation of its heading, rad.
+    pub heading_rad: f64,
+}
+
 /// Beyond so many standard deviations a pair loses its say.
 const TAIL: f64 = 2.0;
 /// How far a pair may be apart in each step of a fit, m.
@@ -27,6 +36,9 @@ const GATES: [f64; 4] = [3.0, 2.0, 1.5, 1.2];
 pub const GATE_M: f64 = GATES[GATES.len() - 1];
 /// What a motion has to lower the cost by to be believed: a shift, and a shift with a turn.
 const WORTH: [f64; 2] = [9.0, 16.0];
+
+/// Headings are taken to be no surer than this, rad.
+const SURE_RAD: f64 = 1e-3;
 
 /// The objects of both sides, and which may be the same.
 #[derive(Debug)]
@@ -218,6 +230,23 @@ impl Normal {
     }
 }
 
+impl Stated {
+    /// The noise of objects with the pose's own in the place of a weak one.
+    fn prior(&self, noise: &Noise) -> Noise {
+        Noise {
+            pose_m: self.place_m,
+            pose_rad: self.heading_rad.max(SURE_RAD),
+            ..*noise
+        }
+    }
+
+    /// How unlikely a motion is, as a sum of squares in standard deviations.
+    fn cost(&self, shift: &Shift) -> f64 {
+        let turns = shift.turn / self.heading_rad.max(SURE_RAD);
+        shift.by.norm_squared() / (self.place_m * self.place_m) + turns * turns
+    }
+}
+
 /// A motion that pairs of objects ask for.
 #[derive(Clone, Debug, PartialEq)]
 pub struct Fit {
@@ -234,13 +263,13 @@ pub struct Fit {
 }
 
 /// The simplest motion that explains the pairs of a refined one: none, a shift, or a shift and a turn, each if it lowers the cost by more
-/// than chance does. So exact poses stay as they are.
+/// than chance does. So exact poses stay as they are. Poses that are said to be less sure than objects are moved as far as is likely by that.
 ///
 /// # Errors
 /// [`AssignmentError`] for more objects than an assignment takes.
-pub fn fit(scene: &Scene, refined: &Shift, noise: &Noise) -> Result<Fit, AssignmentError> {
+pub fn fit(scene: &Scene, refined: &Shift, noise: &Noise, stated: Option<&Stated>) -> Result<Fit, AssignmentError> {
     let pairs = scene.pairs(refined)?;
-    let settle = |mut shift: Shift, freedom: Freedom| {
+    let settle = |noise: &Noise, mut shift: Shift, freedom: Freedom| {
         for _ in 0..4 {
             shift = Normal::of(scene, &shift, &pairs, noise).step(shift, freedom);
         }
@@ -249,12 +278,19 @@ pub fn fit(scene: &Scene, refined: &Shift, noise: &Noise) -> Result<Fit, Assignm
     let none = Shift::none(refined.pivot);
     let mut best = (Normal::of(scene, &none, &pairs, noise).cost, none);
     let moved = [
-        settle(Shift { turn: 0.0, ..*refined }, Freedom::Shift),
-        settle(*refined, Freedom::Turn),
+        settle(noise, Shift { turn: 0.0, ..*refined }, Freedom::Shift),
+        settle(noise, *refined, Freedom::Turn),
     ];
     for ((cost, shift), worth) in moved.into_iter().zip(WORTH) {
         if cost + worth < best.0 {
             best = (cost + worth, shift);
+        }
+    }
+    if let Some(stated) = stated.filter(|stated| stated.place_m > noise.place_m) {
+        let (cost, shift) = settle(&stated.prior(noise), *refined, Freedom::Turn);
+        let cost = cost + stated.cost(&shift);
+        if cost < best.0 {
+            best = (cost, shift);
         }
     }
     let shift = best.1;

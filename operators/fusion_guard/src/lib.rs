@@ -42,7 +42,7 @@ pub use boxes::{Ego, Judgement, Known, Limits, Origin, Said, judge};
 pub use cells::{Ground, Overlay, standing};
 pub use clock::ahead_s;
 pub use constellation::lay_over;
-pub use fit::{Fit, GATE_M, Noise, Scene, fit};
+pub use fit::{Fit, GATE_M, Noise, Scene, Stated, fit};
 pub use objects::{Object, objects};
 pub use operator::{FusionGuard, GuardError, Input, Output, Settings};
 pub use record::Record;

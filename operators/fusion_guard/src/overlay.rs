@@ -68,7 +68,12 @@ pub(crate) fn judge_points(
     let is_contradicted = checked >= CHECKED && share < CONTRADICTED;
     let reason = match is_contradicted {
         true => Some(Reason::Contradicted),
-        false => shares.reason(is_found, after.trust(), 0.0, record.pose_error_m(origin.stated_m)),
+        false => shares.reason(
+            is_found,
+            after.trust(),
+            0.0,
+            record.pose_error_m(origin.stated.map(|stated| stated.place_m)),
+        ),
     };
     let sigma = Vector3::new(SIGMA[0], SIGMA[0], SIGMA[1]).map(|sigma| sigma * sigma);
     let rise = rise(cloud, own.cloud, &(shift.isometry() * origin.ego_from_sender));

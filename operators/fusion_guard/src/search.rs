@@ -3,7 +3,7 @@
 use nalgebra::Vector2;
 use realo_assignment::AssignmentError;
 
-use crate::fit::{Fit, Noise, Scene, fit};
+use crate::fit::{Fit, Noise, Scene, Stated, fit};
 use crate::shift::{Shift, turned};
 
 /// How far a search reaches.
@@ -46,6 +46,7 @@ pub fn search(
     pivot: Vector2<f64>,
     reach: &Reach,
     noise: &Noise,
+    stated: Option<&Stated>,
     penalty: impl Fn(&Shift) -> f64,
 ) -> Result<Found, AssignmentError> {
     let starts = std::iter::once(Shift::none(pivot)).chain(candidates(scene, pivot, reach));
@@ -64,7 +65,7 @@ pub fn search(
         .find(|(_, shift)| elsewhere(shift))
         .map_or(0.0, |(support, _)| *support);
     Ok(Found {
-        fit: fit(scene, &best, noise)?,
+        fit: fit(scene, &best, noise, stated)?,
         runner_up: runner_up.max(0.0),
     })
 }

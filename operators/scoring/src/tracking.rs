@@ -84,6 +84,13 @@ pub struct TrackScores {
     pub velocities: u64,
     /// Those of them that move.
     pub velocities_moving: u64,
+    /// Times that an object is found under another identity than the last time, by pairs that overlap as above; unknown of results of
+    /// an earlier version.
+    #[serde(default)]
+    pub identity_changes: Option<u64>,
+    /// Those of them to an identity under which another object was found before: tracks that swap.
+    #[serde(default)]
+    pub identity_swaps: Option<u64>,
 }
 
 /// The scores of identities by class; `None` where no scene has detections and objects with identities.
@@ -121,6 +128,7 @@ const MOVES_MPS: f64 = 1.0;
 fn at_min_score(scenes: &[&Scene], protocol: &Protocol, class: u8, min_score: f64) -> TrackScores {
     let mut sum: Tallies = [Tally::default(); THRESHOLDS];
     let mut velocities = Velocities::default();
+    let (mut changes, mut swaps) = (0, 0);
     let overlapping = protocol.ious.iter().copied().fold(1.0, f64::min);
     for scene in scenes {
         let frames: Vec<(&Frame, Places)> = scene
@@ -136,6 +144,7 @@ fn at_min_score(scenes: &[&Scene], protocol: &Protocol, class: u8, min_score: f6
             .collect();
         let (tallies, pairs) = tallies(&tracked);
         add(&mut sum, &tallies);
+        let mut histories = Histories::default();
         for (((frame, places), tracked), pairs) in frames.iter().zip(&tracked).zip(pairs) {
             let columns = places.detections.len();
             let pairs = pairs
@@ -143,8 +152,15 @@ fn at_min_score(scenes: &[&Scene], protocol: &Protocol, class: u8, min_score: f6
                 .filter(|(truth, at)| tracked.overlaps[truth * columns + at] >= overlapping);
             pairs.for_each(|(truth, detection)| {
                 velocities.add(frame, places.truths[truth], places.detections[detection]);
+                histories.add(
+                    frame.identities.as_ref(),
+                    places.truths[truth],
+                    places.detections[detection],
+                );
             });
         }
+        changes += histories.changes;
+        swaps += histories.swaps;
     }
     let Hota {
         hota,
@@ -162,6 +178,8 @@ fn at_min_score(scenes: &[&Scene], protocol: &Protocol, class: u8, min_score: f6
         velocity_error_moving: velocities.moving.mean(),
         velocities: velocities.all.count,
         velocities_moving: velocities.moving.count,
+        identity_changes: Some(changes),
+        identity_swaps: Some(swaps),
     }
 }
 
@@ -248,6 +266,34 @@ impl Numbers {
             overlaps: overlaps.collect(),
             detections: self.detections.of(detected),
             truths: self.truths.of(objects),
+        }
+    }
+}
+
+/// Under which identities the objects of a scene were found so far.
+#[derive(Default)]
+struct Histories {
+    /// The last identity of each object.
+    last: BTreeMap<u64, u64>,
+    /// The last object of each identity.
+    owner: BTreeMap<u64, u64>,
+    changes: u64,
+    swaps: u64,
+}
+
+impl Histories {
+    /// A pair of object and detection; says nothing where one of them has no identity.
+    fn add(&mut self, identities: Option<&Identities>, truth: usize, detection: usize) {
+        let track = |all: &[Identity], place: usize| all.get(place)?.track;
+        let pair = identities.map(|all| (track(&all.truths, truth), track(&all.detections, detection)));
+        let Some((Some(object), Some(identity))) = pair else {
+            return;
+        };
+        let before = self.last.insert(object, identity);
+        let owner = self.owner.insert(identity, object);
+        if before.is_some_and(|before| before != identity) {
+            self.changes += 1;
+            self.swaps += u64::from(owner.is_some_and(|owner| owner != object));
         }
     }
 }

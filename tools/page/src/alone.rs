@@ -2,11 +2,9 @@
 
 use std::collections::BTreeSet;
 
+use realo_report::has_recorded_detections;
 use realo_results::Run;
 use serde::Serialize;
-
-/// What a stage that plays detections out of the log runs, as graphs name it.
-const RECORDED: &str = "operator recorded-detections";
 
 /// The run of the ego alone that a run is compared with.
 #[derive(Clone, Debug, Default, PartialEq, Serialize)]
@@ -65,7 +63,7 @@ fn apart(run: &Run, alone: &Run) -> Option<&'static str> {
         names(&own.logs) == names(&other.logs),
         names(&own.egos) == names(&other.egos),
         own.protocol == other.protocol,
-        is_recorded(run) == is_recorded(alone),
+        has_recorded_detections(run) == has_recorded_detections(alone),
         !ended || own.frames.key == other.frames.key,
         // Alone and without a sweep that was skipped the ego has the same boxes in every mode.
         is_same_mode(run, alone) || (own.frames.key_skipped == 0 && other.frames.key_skipped == 0),
@@ -89,17 +87,9 @@ fn nearness(run: &Run, alone: &Run) -> [bool; 2] {
     [is_same_mode(run, alone), same_model]
 }
 
-/// Whether detections came out of the log and not from a network.
-fn is_recorded(run: &Run) -> bool {
-    let mut stages = run.samples.graph.values();
-    stages.any(|stage| stage.get("runs").is_some_and(|runs| runs == RECORDED))
-}
-
 #[cfg(test)]
 mod tests {
-    use std::collections::BTreeMap;
-
-    use realo_results::{Cooperation, RunResult, Samples, Settings, Timing};
+    use realo_results::{Cooperation, NodeSummary, RunResult, Samples, Settings, Timing};
 
     use super::*;
 
@@ -151,9 +141,12 @@ mod tests {
             alone(&|run| run.result.protocol = Some("kitti".into())),
             Some("protocol")
         );
-        let stage = BTreeMap::from([("runs".to_string(), RECORDED.to_string())]);
         let recorded = |run: &mut Run| {
-            run.samples.graph.insert("ego.detector".into(), stage.clone());
+            let stage = NodeSummary {
+                operator: "recorded-detections".into(),
+                ..NodeSummary::default()
+            };
+            run.result.nodes.insert("ego.detector".into(), stage);
         };
         assert_eq!(alone(&recorded), Some("source of detections"));
         let ended = |run: &mut Run| {

@@ -2,7 +2,7 @@
 
 use std::collections::BTreeMap;
 
-use realo_report::fields;
+use realo_report::{fields, has_recorded_detections};
 use realo_results::{Ages, GraphStages, Run};
 use realo_schemas::Kind;
 use realo_schemas::report::Fate;
@@ -41,6 +41,8 @@ pub struct RunPart {
     pub name: String,
     /// Whether nothing of others is fused.
     pub alone: bool,
+    /// Whether detections came out of the log and not from a network.
+    pub recorded: bool,
     /// The run of the ego alone that it is compared with.
     #[serde(flatten)]
     pub against: Against,
@@ -58,6 +60,8 @@ pub struct RunPart {
     pub curves: PrecisionRecall,
     /// Stages of the graph, with their settings and inputs.
     pub graph: GraphStages,
+    /// The graph as an SVG document.
+    pub picture: Option<String>,
 }
 
 impl RunPart {
@@ -85,6 +89,7 @@ impl RunPart {
         RunPart {
             name: name.into(),
             alone: is_alone(run),
+            recorded: has_recorded_detections(run),
             against,
             program: None,
             fields: fields.map(|(field, values)| (field, values.concat())).collect(),
@@ -105,6 +110,7 @@ impl RunPart {
                 .map(precision_recall)
                 .unwrap_or_default(),
             graph: run.samples.graph.clone(),
+            picture: None,
         }
     }
 }

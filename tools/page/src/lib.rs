@@ -48,6 +48,8 @@ use scenes::{Names, Scenes};
 
 /// Runs that the player holds at most; the tables and charts have all.
 const MOST_RECORDINGS: usize = 12;
+/// Runs whose graphs are drawn.
+const MOST_GRAPHS: usize = 12;
 /// Sweeps that are read of all recordings together, at most.
 const MOST_SWEEPS: usize = 16_384;
 
@@ -87,6 +89,9 @@ pub struct Page {
 
 /// Hears what is read and how far that is: words, done, all.
 pub type Watch<'a> = dyn Fn(&str, usize, usize) + 'a;
+
+/// Draws the graph of a run, out of its folder, as an SVG document; `None` where the run does not say its graph.
+pub type Draw<'a> = dyn Fn(&Path, &Run) -> Option<String> + 'a;
 
 /// A run with its name and folder.
 type Named<'a> = (&'a str, &'a Path, Run);
@@ -167,12 +172,12 @@ fn read_scenes(
     Ok(count)
 }
 
-/// Makes the page of some runs. Of several runs those that cannot be read are left out.
+/// Makes the page of some runs, with graphs as `draw` draws them. Of several runs those that cannot be read are left out.
 ///
 /// # Errors
 /// No folder with a complete run; a file of another version or a damaged recording of the only run; a log that was named and is
 /// of another run; with points, a log that is gone.
-pub fn page(request: &Request, watch: &Watch) -> Result<Page, PageError> {
+pub fn page(request: &Request, draw: &Draw, watch: &Watch) -> Result<Page, PageError> {
     let Readable { runs, failed } = Readable::of(request, watch)?;
     let borrowed: Vec<(&str, &Run)> = runs.iter().map(|(name, _, run)| (*name, run)).collect();
     let against = against(&borrowed);
@@ -201,6 +206,9 @@ pub fn page(request: &Request, watch: &Watch) -> Result<Page, PageError> {
     };
     for (number, program) in std::mem::take(&mut scenes.programs) {
         document.runs[number].program = Some(program);
+    }
+    for (part, (_, folder, run)) in document.runs.iter_mut().zip(&runs).take(MOST_GRAPHS) {
+        part.picture = draw(folder, run);
     }
     let title = document.title();
     let around = html(&title, "", "").len();

@@ -7,6 +7,7 @@ use realo_cli::{Force, Outcome, Output, Progress, expect_ending, write_whole};
 use realo_page::Request;
 
 use crate::compare::names;
+use crate::graph;
 use crate::render::log_folders;
 
 /// Largest page without points, bytes: small enough for a mail.
@@ -54,7 +55,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         most_point_bytes: MOST_POINT_BYTES,
     };
     let progress = Progress::new("reading", "runs", Some(0.0));
-    let page = realo_page::page(&request, &|what, done, all| {
+    let page = realo_page::page(&request, &graph::picture, &|what, done, all| {
         progress.rename(what, "");
         progress.of(done as f64, all as f64);
     })?;

@@ -16,8 +16,27 @@ type Names = fn(&RunResult) -> &Vec<String>;
 /// each, which names the runs; nothing where all is alike.
 pub fn differences(runs: &[(&str, &Run)]) -> Vec<String> {
     let mut found = of_data(runs);
+    found.extend(of_detections(runs));
     found.extend(all_settings(runs));
     found
+}
+
+/// Which runs have detections of the log, where others have those of a network.
+fn of_detections(runs: &[(&str, &Run)]) -> Option<String> {
+    let [recorded, own] = [true, false].map(|recorded| -> Vec<&str> {
+        let of = runs
+            .iter()
+            .filter(|(_, run)| settings::has_recorded_detections(run) == recorded);
+        of.map(|(name, _)| *name).collect()
+    });
+    let differ = !recorded.is_empty() && !own.is_empty();
+    differ.then(|| {
+        format!(
+            "detections differ: the log's in {}, a network's in {}",
+            listed(&recorded),
+            listed(&own)
+        )
+    })
 }
 
 /// What makes numbers hard to compare: other logs, egos, agents, another graph of the name, protocol or truth.

@@ -28,6 +28,7 @@ pub use foot::notes;
 pub use opening::opening;
 pub use pool::{PoolError, pool};
 pub use realo_results::{FilesError, Run, read_run, write_run};
+pub use settings::has_recorded_detections;
 
 use serde_json::{Value, json as value};
 

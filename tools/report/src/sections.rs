@@ -23,7 +23,7 @@ use clocks::{clocks, has_clocks};
 use objects::{detections, recall};
 use scores::{accuracy, in_the_order_of_v2x_real, intervals, mean_accuracy, seen};
 use times::{ages, latency, steps};
-use tracking::{identities, velocities};
+use tracking::{changes, identities, velocities};
 use traffic::{accounting, are_states_used, kinds, peers, volume};
 
 /// Rows under a title.
@@ -131,6 +131,7 @@ impl Contents<'_> {
         if self.runs.iter().any(|run| run.result.tracking.is_some()) {
             sections.extend([
                 self.section("identities: HOTA / DetA / AssA", identities),
+                self.section("changes of identity: all / tracks that swap", changes),
                 self.section("velocity error, m/s: all / moving", velocities),
             ]);
         }

@@ -98,6 +98,12 @@ fn text(value: &str) -> Option<String> {
     (!value.is_empty()).then(|| value.to_string())
 }
 
+/// Whether detections came out of the log and not from a network.
+pub fn has_recorded_detections(run: &Run) -> bool {
+    let mut nodes = run.result.nodes.values();
+    nodes.any(|node| node.operator == "recorded-detections")
+}
+
 /// What runs may share, in the order in which it is said.
 fn facts(runs: &[&Run]) -> Vec<Fact> {
     let of = |name: &str, value: &dyn Fn(&Run) -> Option<String>| Fact::of(name, runs, value);
@@ -126,10 +132,7 @@ fn facts(runs: &[&Run]) -> Vec<Fact> {
     facts.extend(changed(runs));
     facts.extend([
         of("detections", &|run| {
-            let mut nodes = run.result.nodes.values();
-            nodes
-                .any(|node| node.operator == "recorded-detections")
-                .then(|| "recorded".into())
+            has_recorded_detections(run).then(|| "recorded".into())
         }),
         of("agents", &|run| {
             let agents: BTreeSet<&str> = run.result.agents.iter().map(String::as_str).collect();

@@ -24,6 +24,10 @@ const WORDS: &[(&str, &str)] = &[
         "higher order tracking accuracy, from 0 to 1 (best), as TrackEval counts it: of what is found (DetA) and under one identity (AssA)",
     ),
     (
+        "tracks that swap",
+        "changes of identity to one under which another object was found before",
+    ),
+    (
         "velocity error",
         "mean size of what velocities of detections on objects are off; moving: at 1 m/s or more",
     ),

@@ -24,7 +24,7 @@ pub type Refusal = (&'static str, &'static str);
 const BAD: Refusal = ("400 Bad Request", "This is not a request of a browser.");
 const STRANGER: Refusal = (
     "403 Forbidden",
-    "This server answers its own page alone. Open it by the address that `realo run --view` printed.",
+    "This server answers its own page alone. Open it by an address that `realo run --view` printed, or by the machine's IP address.",
 );
 const NOTHING: Refusal = ("404 Not Found", "There is only one page here, at /.");
 const METHOD: Refusal = ("405 Method Not Allowed", "Only GET is answered.");

@@ -31,5 +31,5 @@ mod server;
 
 pub use address::{AddressError, address, address_at};
 pub use foxglove::{Foxglove, Session};
-pub use listening::ServerError;
+pub use listening::{ServerError, from_elsewhere};
 pub use server::Server;

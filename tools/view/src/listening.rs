@@ -1,7 +1,7 @@
 //! Takes connections, within bounds.
 
 use std::io;
-use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream};
+use std::net::{IpAddr, Ipv4Addr, Ipv6Addr, SocketAddr, TcpListener, TcpStream, UdpSocket};
 use std::sync::Arc;
 use std::sync::atomic::{AtomicBool, AtomicUsize, Ordering};
 use std::time::Duration;
@@ -86,6 +86,32 @@ impl Listening {
         };
         SocketAddr::new(ip, self.address.port())
     }
+}
+
+/// The addresses by which other machines may reach what listens at `at`: of all of this machine's interfaces the name of the machine, and
+/// the address that it has towards others.
+pub fn from_elsewhere(at: SocketAddr) -> Vec<String> {
+    if !at.ip().is_unspecified() {
+        return vec![at.to_string()];
+    }
+    let own = names().into_iter().nth(1).map(|name| format!("{name}:{}", at.port()));
+    towards_others(at.ip())
+        .map(|ip| SocketAddr::new(ip, at.port()).to_string())
+        .into_iter()
+        .chain(own)
+        .collect()
+}
+
+/// The address of this machine towards others. Nothing is sent.
+fn towards_others(of: IpAddr) -> Option<IpAddr> {
+    // Addresses that documents use for examples.
+    let far = match of {
+        IpAddr::V4(_) => SocketAddr::from(([192, 0, 2, 1], 9)),
+        IpAddr::V6(_) => SocketAddr::from(([0x2001, 0xdb8, 0, 0, 0, 0, 0, 1], 9)),
+    };
+    let socket = UdpSocket::bind((of, 0)).ok()?;
+    socket.connect(far).ok()?;
+    socket.local_addr().ok().map(|address| address.ip())
 }
 
 impl Drop for Listening {

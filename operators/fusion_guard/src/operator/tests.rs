@@ -137,6 +137,24 @@ fn exact_poses_and_their_boxes_stay_as_they_are() {
 }
 
 #[test]
+fn a_pose_that_is_said_to_be_unsure_is_moved_by_less_than_one_that_is_said_to_be_exact() {
+    let (dx, dy) = (0.3, -0.2);
+    let stated = at((SENDER.0 + dx, SENDER.1 + dy, SENDER.2));
+    let few = &town()[..2];
+    let off = |place_m: f64| {
+        let mut said = entry("rsu1", Some(stated), seen_from(at(SENDER), few));
+        let mut covariance = Box::new([0.0; 36]);
+        (covariance[0], covariance[7], covariance[35]) = (place_m * place_m, place_m * place_m, 1e-4);
+        said.header.pose.as_mut().unwrap().covariance = Some(covariance);
+        let (kept, _) = guard(&mut new(), seen_from(at(EGO), few), None, vec![said]);
+        let found = kept[0].header.pose.as_ref().unwrap().map_from_frame;
+        (found.translation.vector - at(SENDER).translation.vector).norm()
+    };
+    assert!((off(0.02) - libm::hypot(dx, dy)).abs() < 1e-6, "{}", off(0.02));
+    assert!(off(2.0) < 0.1, "{}", off(2.0));
+}
+
+#[test]
 fn an_agent_without_a_pose_is_placed_and_may_not_be() {
     let theirs = || entry("rsu1", None, seen_from(at(SENDER), &town()));
     let own = || seen_from(at(EGO), &town());

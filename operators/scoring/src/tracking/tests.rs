@@ -68,6 +68,8 @@ fn what_is_followed_exactly_is_one_whatever_it_is_called() {
         velocity_error_moving: Some(0.0),
         velocities: 12,
         velocities_moving: 6,
+        identity_changes: Some(0),
+        identity_swaps: Some(0),
     };
     let near = |a: f64, b: f64| (a - b).abs() < 1e-9;
     assert!(near(found.hota, 1.0) && near(found.localization, 1.0), "{found:?}");
@@ -104,6 +106,28 @@ fn a_change_of_identity_costs_and_so_does_none() {
     ] {
         assert!((found - expected).abs() < 1e-9, "{found} for {expected}");
     }
+}
+
+#[test]
+fn changes_of_identity_are_counted_and_tracks_that_swap_among_them() {
+    let of = |tracks: fn(u64) -> [Option<u64>; 2]| {
+        let frames: Vec<_> = (0..6)
+            .map(|i| {
+                let objects = objects(0.1 * i as f64);
+                let mut found = objects.clone();
+                [found[0].track, found[1].track] = tracks(i);
+                (objects, found)
+            })
+            .collect();
+        let found = vehicles(&frames);
+        (found.identity_changes.unwrap(), found.identity_swaps.unwrap())
+    };
+    assert_eq!(of(|_| [Some(1), Some(2)]), (0, 0));
+    assert_eq!(of(|i| [Some(1 + 2 * i), Some(2)]), (5, 0));
+    let swapped = |i: u64| if i < 3 { [Some(1), Some(2)] } else { [Some(2), Some(1)] };
+    assert_eq!(of(swapped), (2, 2));
+    // A pause without identity is no change.
+    assert_eq!(of(|i| [Some(1).filter(|_| i != 2), Some(2)]), (0, 0));
 }
 
 #[test]

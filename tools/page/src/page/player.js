@@ -1044,8 +1044,11 @@ function onKey(event) {
 
 // --- The address --------------------------------------------------------------------------------------------------
 
+/** What else the address keeps: { name, value: () => text, take: (text) => …, again: () => … }; an empty text is not written. */
+const alsoKept = [];
 let keeping = 0;
 function keepPlace() {
+  if (byId("player").hidden) return;
   clearTimeout(keeping);
   keeping = setTimeout(() => {
     const place = new URLSearchParams();
@@ -1061,6 +1064,7 @@ function keepPlace() {
     if (state.speed !== 1) place.set("speed", state.speed);
     if (state.hidden.size) place.set("hide", [...state.hidden].join("."));
     if (state.picked) place.set("pick", [state.picked.kind, state.picked.run, state.picked.seq, state.picked.index, state.picked.track].join("."));
+    for (const { name, value } of alsoKept) if (value()) place.set(name, value());
     place.set("at", [camera.x, camera.y, camera.scale, camera.turn, camera.tilt].map((value) => value.toFixed(2)).join(","));
     try { history.replaceState(null, "", "#" + place); } catch { /* some viewers keep no address */ }
   }, 150);
@@ -1094,6 +1098,7 @@ function takePlace() {
   const eye = (place.get("at") || "").split(",").map(Number);
   if (eye.length === 5 && eye.every(Number.isFinite)) [camera.x, camera.y, camera.scale, camera.turn, camera.tilt] = eye;
   [camera.scale, camera.tilt] = [within(camera.scale, ...SCALES), within(camera.tilt, ...TILTS)];
+  for (const { name, take } of alsoKept) take(place.get(name) || "");
   return true;
 }
 
@@ -1105,6 +1110,7 @@ function changePlace() {
   judgedSweeps.clear();
   setUp();
   draw();
+  for (const { again } of alsoKept) again();
   if (state.scene !== before || state.score !== score) sceneOpened();
 }
 

@@ -108,6 +108,12 @@ const more = (heads, words, rows, open = false) => (words ? el("details", { open
 
 /** The run that objects are compared with; `null`: each run with the ego alone of its own logs. */
 let comparedWith = null;
+alsoKept.push({
+  name: "beside",
+  value: () => (known(comparedWith) ? String(comparedWith) : ""),
+  take: (text) => { comparedWith = DOC.runs[text] ? Number(text) : null; },
+  again: () => addedObjects(),
+});
 
 /** For each run of a scene the run beside it with which its objects are compared, `-1` where there is none. */
 function besides(of) {
@@ -185,17 +191,18 @@ function addedObjects() {
   const now = anyAlone && withAlone ? null : of.runs[beside[compared[0]]].run;
   const limits = `${compared.length > 3 ? ` The first 3 of ${compared.length} runs that are compared.` : ""} A table has ${MOST_ADDED} objects at most.`;
   section.replaceChildren(el("h2", {}, withAlone ? "What cooperation added" : `What differs from ${DOC.runs[now].name}`),
-    options.length > 1 ? el("div", { class: "tools" }, choice("Compared with", options, now, (run) => { comparedWith = run; addedObjects(); navigation(); })) : "",
+    options.length > 1 ? el("div", { class: "tools" }, choice("Compared with", options, now, (run) => { comparedWith = run; addedObjects(); navigation(); keepPlace(); })) : "",
     el("p", { class: "muted" }, `${sweepsInWords(of)} of ${of.log}, ego ${of.ego}, at IoU ${of.ious[state.iou]}${scoreWords()}, object by object${filterWords()}; a click on one shows it.${limits}`),
     ...compared.slice(0, 3).map((run) => addedBy(of, run, beside[run])));
 }
 
 // --- What was run -------------------------------------------------------------------------------------------------
 
-const SETTINGS = ["program", "machine", "graph", "graph_hash", "mode", "coop", "link", "compute", "seed", "project", "pose_source", "precomputed", "model", "isa", "set", "programs", "rate", "protocol", "ended_by"];
+const SETTINGS = ["program", "machine", "graph", "graph_hash", "mode", "coop", "link", "compute", "seed", "project", "pose_source", "precomputed", "model", "detections", "isa", "set", "programs", "rate", "protocol", "ended_by"];
 
 function settings() {
-  const value = (run, name) => String((name === "program" ? run.program : name === "machine" ? run.timing.machine : run.result[name]) ?? "");
+  const special = { program: (run) => run.program, machine: (run) => run.timing.machine, detections: (run) => (run.recorded ? "recorded" : "") };
+  const value = (run, name) => String((special[name] ? special[name](run) : run.result[name]) ?? "");
   const rows = SETTINGS.filter((name) => DOC.runs.some((run) => value(run, name))).map((name) => [name.replace("_", " "), ...DOC.runs.map((run) => value(run, name) || NONE)]);
   rows.push(["logs", ...DOC.runs.map((run) => (run.result.logs.length > 5 ? `${run.result.logs.length} logs` : run.result.logs.join(", ") || NONE))],
     ["egos", ...DOC.runs.map((run) => run.result.egos.join(", ") || NONE)], ["agents", ...DOC.runs.map((run) => run.result.agents.join(", ") || NONE)]);
@@ -213,62 +220,25 @@ function settings() {
   byId("foot").textContent = `Made by ${DOC.program}. Words are explained in docs/glossary.md and docs/reference/results.md of realo.`;
 }
 
-/** How far to the right each stage is: beyond all that it takes from, but for what closes a circle. */
-function levels(stages, sources) {
-  const before = new Map(stages.map((stage) => [stage, sources(stage)]));
-  const [open, done] = [new Set(), new Map()];
-  const visit = (stage) => {
-    open.add(stage);
-    for (const next of stages.filter((other) => before.get(other).includes(stage))) {
-      if (open.has(next)) before.set(next, before.get(next).filter((from) => from !== stage));
-      else if (!done.has(next)) visit(next);
-    }
-    open.delete(stage);
-    done.set(stage, null);
-  };
-  [...stages.filter((stage) => !before.get(stage).length), ...stages].forEach((stage) => { if (!done.has(stage)) visit(stage); });
-  const level = new Map();
-  const place = (stage) => {
-    if (!level.has(stage)) level.set(stage, Math.max(-1, ...before.get(stage).map(place)) + 1);
-    return level.get(stage);
-  };
-  stages.forEach(place);
-  return level;
+/** A run's graph with what was measured of it, and the settings of its stages. */
+function graph(run) {
+  const settings = Object.entries(run.graph).map(([stage, has]) => [stage, has.runs || NONE,
+    Object.entries(has).filter(([key]) => key.startsWith("settings.")).map(([key, value]) => `${key.slice(9)}=${value}`).join(" ") || NONE]);
+  const picture = run.picture ? el("button", { class: "picture", type: "button", "aria-label": "Larger or smaller", onclick: (event) => event.currentTarget.classList.toggle("large") },
+    el("img", { src: "data:image/svg+xml;charset=utf-8," + encodeURIComponent(run.picture), alt: `Graph of ${run.name}` })) : "";
+  return el("div", {}, picture, table(["stage", "runs", "settings"], settings, "text"));
 }
 
-/** The stages of a run from left to right, each after all that it takes from. */
-function graph(run) {
-  const stages = Object.keys(run.graph);
-  const sources = (stage) => Object.entries(run.graph[stage]).filter(([key]) => key.startsWith("inputs."))
-    .flatMap(([, from]) => from.split(/[\s,]+/)).map((from) => stages.filter((other) => from === other || from.startsWith(other + "/") || from.startsWith(other + ".")).sort((a, b) => b.length - a.length)[0]).filter((from) => from && from !== stage);
-  const level = levels(stages, sources);
-  const columns = [];
-  stages.forEach((stage) => (columns[level.get(stage)] ||= []).push(stage));
-  const [wide, tall] = [196, 52];
-  const width = columns.length * (wide + 44), height = Math.max(...columns.map((column) => column.length)) * (tall + 14) + 12;
-  const at = new Map();
-  columns.forEach((column, x) => column.forEach((stage, y) => at.set(stage, [x * (wide + 44) + 2, (height - column.length * (tall + 14)) / 2 + y * (tall + 14) + 6])));
-  const picture = svg("svg", { viewBox: `0 0 ${width} ${height}`, width, height, style: "max-width:none", role: "img", "aria-label": `Graph of ${run.name}` });
-  for (const stage of stages) {
-    for (const from of new Set(sources(stage))) {
-      const [[x0, y0], [x1, y1]] = [at.get(from), at.get(stage)];
-      const back = x1 <= x0;
-      picture.append(svg("path", { d: `M${x0 + wide} ${y0 + tall / 2}C${x0 + wide + 30} ${y0 + tall / 2} ${x1 - 30} ${y1 + tall / 2} ${x1} ${y1 + tall / 2}`, fill: "none", stroke: "var(--muted)", "stroke-width": 1.2, "stroke-dasharray": back ? "4 3" : "", opacity: 0.7 }));
-    }
-  }
-  for (const stage of stages) {
-    const [x, y] = at.get(stage);
-    const set = Object.entries(run.graph[stage]).filter(([key]) => key.startsWith("settings.")).map(([key, value]) => `${key.slice(9)}=${value}`);
-    picture.append(svg("g", {}, svg("title", {}, [stage, ...set].join("\n")),
-      svg("rect", { x, y, width: wide, height: tall, rx: 6, fill: "var(--card)", stroke: "var(--muted)" }),
-      svg("text", { x: x + 10, y: y + 21, class: "ink", "font-weight": 600 }, stage.length > 26 ? "…" + stage.slice(-25) : stage),
-      svg("text", { x: x + 10, y: y + 38 }, String(run.graph[stage].runs || "").slice(0, 28))));
-  }
-  return picture;
-}
+const ofCharts = (name, otherwise, known) => ({
+  name: "charts-" + name,
+  value: () => (asked[name] === otherwise ? "" : asked[name]),
+  take: (text) => { asked[name] = known().includes(text) ? text : otherwise; },
+  again: () => charts(),
+});
+alsoKept.push(ofCharts("klass", "", classesOf), ofCharts("iou", DOC.iou, iousOf));
 
 function charts() {
-  const again = (change) => (value) => { change(value); drawCharts(); drawFlows(); };
+  const again = (change) => (value) => { change(value); drawCharts(); drawFlows(); keepPlace(); };
   byId("choices").replaceChildren(
     choice("Class", [["", "all"], ...classesOf().map((klass) => [klass, klass])], asked.klass, again((klass) => { asked.klass = klass; })),
     choice("IoU", iousOf().map((iou) => [iou, iou]), asked.iou, again((iou) => { asked.iou = iou; })));

@@ -22,7 +22,14 @@ const LEAST_MS: f64 = 0.05;
 /// # Errors
 /// A run that cannot be read, or that does not say its graph.
 pub fn of_run(folder: &Path) -> Result<Diagram> {
-    let run = read_run(folder)?;
+    of(&read_run(folder)?, folder)
+}
+
+/// The same of a run that was read.
+///
+/// # Errors
+/// A run that does not say its graph.
+pub fn of(run: &Run, folder: &Path) -> Result<Diagram> {
     if run.samples.graph.is_empty() {
         bail!(
             "{}: the run does not say which graph was run, as one that `realo run` started does: draw its graph by \
@@ -38,7 +45,7 @@ pub fn of_run(folder: &Path) -> Result<Diagram> {
     };
     diagram.title = stages::title(name, &diagram);
     let measured = Measured {
-        run: &run,
+        run,
         seconds: run.timing.samples.duration_ns as f64 / 1e9,
     };
     diagram.about = measured.about();

@@ -10,7 +10,7 @@ use eyre::Result;
 use realo_cli::{Force, Outcome, Output, expect_ending, find, write_whole};
 use realo_diagram::{Diagram, Terminal};
 use realo_graph::FlatGraph;
-use realo_results::run_folder;
+use realo_results::{Run, run_folder};
 
 use crate::tables;
 
@@ -68,6 +68,13 @@ pub fn diagram(path: &Path) -> Result<Diagram> {
     let file = find::graph(path)?;
     let graph = FlatGraph::load(&file)?;
     of_graph(&graph)
+}
+
+/// The picture of a run's graph as an SVG document; `None` where the run does not say its graph.
+pub fn picture(folder: &Path, run: &Run) -> Option<String> {
+    measured::of(run, folder)
+        .ok()
+        .map(|diagram| realo_diagram::svg(&diagram))
 }
 
 fn of_graph(graph: &FlatGraph) -> Result<Diagram> {

@@ -19,7 +19,7 @@ use realo_operator::Role;
 use realo_page::{Live, Watched};
 use realo_results::scoring::Protocol;
 use realo_schemas::PayloadType;
-use realo_view::{AddressError, Foxglove, Server};
+use realo_view::{AddressError, Foxglove, Server, from_elsewhere};
 
 use super::Mode;
 use super::foxglove::Channelled;
@@ -91,7 +91,7 @@ fn start_page(at: SocketAddr) -> Result<Server> {
     let server = Server::start(at, realo_page::live_page).wrap_err("--view")?;
     let url = server.url();
     eprintln!("realo: watch at {url}");
-    warn_of(server.address());
+    warn_of(server.address(), "http");
     open_browser(&url);
     Ok(server)
 }
@@ -102,14 +102,22 @@ fn start_foxglove(at: SocketAddr) -> Result<Foxglove> {
         "realo: Foxglove and Lichtblick find the run at {} (Foxglove WebSocket); docs/foxglove-layout.json is a layout for it",
         server.url()
     );
-    warn_of(server.address());
+    warn_of(server.address(), "ws");
     Ok(server)
 }
 
-/// Says that others can watch too, where they can.
-fn warn_of(address: SocketAddr) {
+/// Says that others can watch too and where, where they can.
+fn warn_of(address: SocketAddr, scheme: &str) {
     if !address.ip().is_loopback() {
-        eprintln!("realo: whoever reaches {address} can watch too, and what is sent is not encrypted");
+        let at: Vec<String> = from_elsewhere(address)
+            .iter()
+            .map(|at| format!("{scheme}://{at}/"))
+            .collect();
+        let at = match at.as_slice() {
+            [] => format!("port {}", address.port()),
+            at => at.join(" or "),
+        };
+        eprintln!("realo: whoever reaches {at} can watch too, and what is sent is not encrypted");
     }
 }
 

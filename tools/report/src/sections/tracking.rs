@@ -4,7 +4,7 @@ use realo_results::Run;
 use realo_scoring::TrackScores;
 
 use super::{Rows, classes_of};
-use crate::cells::{NONE, fraction, values};
+use crate::cells::{NONE, count, fraction, values};
 
 fn of<'a>(run: &'a Run, class: &str) -> Option<&'a TrackScores> {
     run.result.tracking.as_ref()?.get(class)
@@ -27,6 +27,15 @@ pub(super) fn identities(rows: &mut Rows) {
             Some(values(
                 [found.hota, found.detection, found.association].map(|part| fraction(Some(part))),
             ))
+        });
+    }
+}
+
+pub(super) fn changes(rows: &mut Rows) {
+    for class in known(rows) {
+        rows.add(class.clone(), |run| {
+            let found = of(run, &class)?;
+            Some(values([found.identity_changes?, found.identity_swaps?].map(count)))
         });
     }
 }
