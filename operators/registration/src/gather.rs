@@ -109,8 +109,9 @@ pub(crate) fn gather(map: &VoxelMap, placed: &Placed, points: [&[f32]; 3], kerne
             continue;
         }
         let point = Matched {
-            point: moved.points.map(|axis| axis[i]),
-            in_cell: moved.in_cells.map(|axis| axis[i]),
+            // By reference: these are 12 KB each, and would be copied.
+            point: moved.points.each_ref().map(|axis| axis[i]),
+            in_cell: moved.in_cells.each_ref().map(|axis| axis[i]),
         };
         match kernel.is_wide {
             false => point.near(map, placed, key, kernel, &mut rows, &mut sums),

@@ -220,13 +220,14 @@ function settings() {
   byId("foot").textContent = `Made by ${DOC.program}. Words are explained in docs/glossary.md and docs/reference/results.md of realo.`;
 }
 
-/** A run's graph with what was measured of it, and the settings of its stages. */
+/** A run's graph with what was measured of it, and the settings of its stages, as the graph has them before options of the run. */
 function graph(run) {
   const settings = Object.entries(run.graph).map(([stage, has]) => [stage, has.runs || NONE,
     Object.entries(has).filter(([key]) => key.startsWith("settings.")).map(([key, value]) => `${key.slice(9)}=${value}`).join(" ") || NONE]);
   const picture = run.picture ? el("button", { class: "picture", type: "button", "aria-label": "Larger or smaller", onclick: (event) => event.currentTarget.classList.toggle("large") },
     el("img", { src: "data:image/svg+xml;charset=utf-8," + encodeURIComponent(run.picture), alt: `Graph of ${run.name}` })) : "";
-  return el("div", {}, picture, table(["stage", "runs", "settings"], settings, "text"));
+  const hint = el("p", { class: "muted hint" }, "Settings are those of the graph. What options of the run changed stands in the table of settings above.");
+  return el("div", {}, picture, hint, table(["stage", "runs", "settings of the graph"], settings, "text"));
 }
 
 const ofCharts = (name, otherwise, known) => ({
