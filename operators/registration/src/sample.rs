@@ -94,7 +94,8 @@ impl Sampler {
                     place = self.table.get_or_insert(key) as usize;
                     last = key;
                     if place == self.cells.len() {
-                        self.cells.push((block.corners.each_ref().map(|corner| corner[i]), [0.0; 4]));
+                        self.cells
+                            .push((block.corners.each_ref().map(|corner| corner[i]), [0.0; 4]));
                     }
                 }
                 let [x, y, z, points] = &mut self.cells[place].1;
