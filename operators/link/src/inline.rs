@@ -21,13 +21,15 @@ const KEYS: [&str; 8] = [
     "duplicate",
 ];
 const CHANNEL_KEYS: [&str; 3] = ["channel.bits_per_second", "channel.queue_ms", "channel.half_duplex"];
+/// A trace is a profile of its own.
+const TRACE: &str = "channel.trace=";
 /// The largest rate; f64 still holds all whole numbers up to here.
 const MOST_BITS: f64 = 9e15;
 
 /// Whether a profile is written in a word rather than named.
 pub(super) fn is_inline(text: &str) -> bool {
-    let is_file = |text: &str| [".toml", ".yml", ".yaml"].iter().any(|ending| text.ends_with(ending));
-    text.contains('=') && !is_file(text)
+    let is_file = |text: &str| [".toml", ".yml", ".yaml", ".csv"].iter().any(|ending| text.ends_with(ending));
+    text.contains('=') && (!is_file(text) || text.starts_with(TRACE))
 }
 
 /// A profile with the name or file in it, if there is one, as `named` gives it: `/home/me/radio.toml,loss=0.1` for
@@ -81,6 +83,9 @@ fn kind_of(key: &str) -> Option<(Kind, &str)> {
 }
 
 fn set(profile: &mut Profile, key: &str, value: &str) -> Result<(), String> {
+    if TRACE.strip_suffix('=') == Some(key) {
+        return Err(format!("a trace goes first, by its file alone: `{value}`, or `{value},channel.queue_ms=200`"));
+    }
     if key.starts_with("channel.") {
         return set_channel(&mut profile.channel, key, value);
     }

@@ -155,8 +155,8 @@ fn names() -> String {
 }
 
 impl Profile {
-    /// A built-in profile, one from a TOML or YAML file, or settings in a word, also behind one of these:
-    /// `delay_ms=90,loss=0.05`, `paper,loss=0.05`.
+    /// A built-in profile, one from a TOML or YAML file, a channel from its trace (`drive.csv`), or settings in a word, also behind one of
+    /// these: `delay_ms=90,loss=0.05`, `paper,loss=0.05`.
     ///
     /// # Errors
     /// [`ProfileError`] names the file, the field and what was expected.
@@ -170,6 +170,7 @@ impl Profile {
         let parse = match Path::new(name).extension().and_then(|extension| extension.to_str()) {
             Some("toml") => Profile::from_toml,
             Some("yml" | "yaml") => Profile::from_yaml,
+            Some("csv") => Profile::from_trace,
             _ => {
                 let hint = did_you_mean(&nearest_name(name, BUILT_IN.iter().map(|(known, _)| *known)));
                 return Err(ProfileError::Unknown {
@@ -196,6 +197,23 @@ impl Profile {
     fn from_yaml(path: &str, text: &str) -> Result<Self, ProfileError> {
         let written = realo_documents::yaml(text);
         Profile::checked(path, written)
+    }
+
+    /// A channel of this trace, and nothing else.
+    fn from_trace(path: &str, text: &str) -> Result<Self, ProfileError> {
+        let phases = phases(text).map_err(|reason| ProfileError::Syntax {
+            path: path.into(),
+            reason,
+        })?;
+        let channel = Channel {
+            phases,
+            queue_ms: None,
+            half_duplex: false,
+        };
+        Ok(Profile {
+            channel: Some(channel),
+            ..Profile::default()
+        })
     }
 
     fn checked(path: &str, written: Result<Written, String>) -> Result<Self, ProfileError> {
@@ -243,9 +261,10 @@ pub fn files(text: &str) -> Vec<PathBuf> {
         let path = Path::new(name);
         if let Ok(text) = realo_documents::read(path) {
             files.push(path.into());
-            let written = match path.extension().is_some_and(|kind| kind == "toml") {
-                true => toml::from_str(&text).ok(),
-                false => realo_documents::yaml(&text).ok(),
+            let written = match path.extension().and_then(|kind| kind.to_str()) {
+                Some("toml") => toml::from_str(&text).ok(),
+                Some("csv") => None,
+                _ => realo_documents::yaml(&text).ok(),
             };
             let trace = written.and_then(|written: Written| written.channel?.trace);
             files.extend(trace.map(|trace| path.parent().unwrap_or(Path::new("")).join(trace)));
@@ -489,6 +508,12 @@ mod tests {
             loss: 0.01,
         };
         assert_eq!((channel.phases.len(), channel.phases[2]), (3, last));
+        let alone = folder.path().join("drive.csv").to_str().unwrap().to_string();
+        let of_trace = |text: &str| Profile::load(text).unwrap().channel.unwrap();
+        assert_eq!(of_trace(&alone), channel);
+        assert_eq!(files(&alone), [PathBuf::from(&alone)]);
+        let limited = of_trace(&format!("{alone},channel.queue_ms=200"));
+        assert_eq!((limited.queue_ms, limited.phases), (Some(200.0), channel.phases));
         let refused = |text: &str| load(text).unwrap_err().to_string();
         assert!(refused("[channel]\nqueue_ms = 5").contains("`bits_per_second`, at least 1, or `trace`"));
         assert!(refused("[channel]\nbits_per_second = 0").contains("at least 1"));
