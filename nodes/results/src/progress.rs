@@ -31,6 +31,9 @@ pub struct RunProgress {
     pub age_ms: Option<f64>,
     /// Messages that links lost in the whole run; `None` where no message crossed one.
     pub lost: Option<u64>,
+    /// Messages that were too old when the ego asked for them, in the whole run.
+    #[serde(default)]
+    pub too_old: u64,
 }
 
 impl RunProgress {
@@ -57,6 +60,9 @@ impl RunProgress {
         if let Some(lost) = self.lost {
             words.push_str(&format!(", {lost} lost"));
         }
+        if self.too_old > 0 {
+            words.push_str(&format!(", {} too old", self.too_old));
+        }
         words
     }
 }
@@ -67,9 +73,12 @@ impl fmt::Display for RunProgress {
         if let Some(age) = self.age_ms {
             write!(f, ", data {age:.0} ms old when fused")?;
         }
-        match self.lost {
-            Some(lost) => write!(f, ", {lost} messages lost on links"),
-            None => Ok(()),
+        if let Some(lost) = self.lost {
+            write!(f, ", {lost} messages lost on links")?;
+        }
+        match self.too_old {
+            0 => Ok(()),
+            old => write!(f, ", {old} too old when asked for"),
         }
     }
 }
@@ -86,6 +95,7 @@ pub(crate) struct Progress {
     ages: Vec<Nanos>,
     /// Of the whole run.
     lost: u64,
+    too_old: u64,
     reported: u64,
 }
 
@@ -99,6 +109,7 @@ impl Progress {
             boxes: 0,
             ages: Vec::new(),
             lost: 0,
+            too_old: 0,
             reported: 0,
         }
     }
@@ -128,7 +139,9 @@ impl Progress {
         self.ages
             .extend(fates.iter().filter_map(|fated| Some(fated.r#use?.age_ns)));
         self.reported += fates.iter().filter(|fated| fated.entry.is_none()).count() as u64;
-        self.lost += fates.iter().filter(|fated| fated.fate == Fate::Lost).count() as u64;
+        let count = |fate: Fate| fates.iter().filter(|fated| fated.fate == fate).count() as u64;
+        self.lost += count(Fate::Lost);
+        self.too_old += count(Fate::Stale);
     }
 
     /// The report of now; what is counted begins anew.
@@ -145,6 +158,7 @@ impl Progress {
             hz: steps as f64 / to_seconds(stamp - last).max(1e-9),
             age_ms: ages.get(ages.len() / 2).map(|age| to_millis(*age)),
             lost: (self.reported > 0).then_some(self.lost),
+            too_old: self.too_old,
         }
     }
 }
@@ -193,6 +207,9 @@ mod tests {
         let expected = "3.0 s into the log, 10.0 Hz, data 150 ms old when fused, 1 messages lost on links";
         assert_eq!(live.to_string(), expected);
         assert_eq!(live.short(), "10.0 Hz, 150 ms old, 1 lost");
+        progress.fates(&[fated(Fate::Stale, 0), fated(Fate::Stale, 0)]);
+        (31..=40).for_each(|at| progress.boxes(at * TENTH, true));
+        assert_eq!(progress.live(4_000_000_000).short(), "10.0 Hz, 1 lost, 2 too old");
         // As dora writes it.
         let line = format!("14:30:15 stdout score: {}", live.to_line());
         assert_eq!(RunProgress::from_line(&line), Some(live));

@@ -28,7 +28,11 @@ const MOST_BITS: f64 = 9e15;
 
 /// Whether a profile is written in a word rather than named.
 pub(super) fn is_inline(text: &str) -> bool {
-    let is_file = |text: &str| [".toml", ".yml", ".yaml", ".csv"].iter().any(|ending| text.ends_with(ending));
+    let is_file = |text: &str| {
+        [".toml", ".yml", ".yaml", ".csv"]
+            .iter()
+            .any(|ending| text.ends_with(ending))
+    };
     text.contains('=') && (!is_file(text) || text.starts_with(TRACE))
 }
 
@@ -84,7 +88,9 @@ fn kind_of(key: &str) -> Option<(Kind, &str)> {
 
 fn set(profile: &mut Profile, key: &str, value: &str) -> Result<(), String> {
     if TRACE.strip_suffix('=') == Some(key) {
-        return Err(format!("a trace goes first, by its file alone: `{value}`, or `{value},channel.queue_ms=200`"));
+        return Err(format!(
+            "a trace goes first, by its file alone: `{value}`, or `{value},channel.queue_ms=200`"
+        ));
     }
     if key.starts_with("channel.") {
         return set_channel(&mut profile.channel, key, value);

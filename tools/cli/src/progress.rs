@@ -9,12 +9,15 @@ use std::time::{Duration, Instant};
 
 use crate::program;
 use indicatif::{MultiProgress, ProgressBar, ProgressState, ProgressStyle};
+use terminal_size::Width;
 
 /// From one line to the next.
 const EVERY: Duration = Duration::from_secs(10);
 
 /// Letters of what is done that stand before a bar, at most.
 const HEAD: usize = 26;
+/// On terminals of fewer columns units and rates have no room.
+const NARROW: u16 = 110;
 /// The unit of work that takes its time.
 const SECONDS: &str = "s";
 
@@ -217,7 +220,14 @@ impl State {
     }
 
     fn style(&self) -> ProgressStyle {
+        self.style_on(terminal_size::terminal_size_of(std::io::stderr()).map_or(NARROW, |(Width(columns), _)| columns))
+    }
+
+    /// For so many columns.
+    fn style_on(&self, columns: u16) -> ProgressStyle {
         let template = match self.all {
+            // What else there is to say goes before units and rates.
+            Some(_) if columns < NARROW => "{prefix} [{bar:8}] {pos}/{len}, {left} {wide_msg}".into(),
             // Seconds of a clock pass as they do.
             Some(_) => format!(
                 "{{prefix}} [{{wide_bar}}] {{pos}}/{{len}}{}{}{}, {{left}} {{msg}}",

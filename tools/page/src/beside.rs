@@ -25,6 +25,9 @@ pub fn beside(run: &Run, earlier: &[(&str, &Run)]) -> Option<String> {
     scored.truncate(MOST);
     let margin = |(_, mean, name): &(bool, f64, &str)| {
         let more = own - mean;
+        if more.abs() < 0.0005 {
+            return format!("as much as {name}");
+        }
         format!(
             "{:.3} {} than {name}",
             more.abs(),
@@ -63,6 +66,10 @@ mod tests {
         assert_eq!(
             beside(&own, &[("late", &late)]),
             Some(format!("That is 0.050 more than late, played before. {hint}"))
+        );
+        assert_eq!(
+            beside(&own, &[("again", &own.clone()), ("none", &alone)]).as_deref(),
+            Some("That is 0.150 more than none and as much as again, played before.")
         );
         assert_eq!(
             beside(

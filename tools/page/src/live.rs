@@ -114,6 +114,11 @@ impl Live {
         .to_string())
     }
 
+    /// What the page is told when the run has ended.
+    pub fn ending() -> String {
+        json!({ "what": "ended" }).to_string()
+    }
+
     /// Takes a message that the run sent, and gives the pictures that are whole by it.
     ///
     /// # Errors

@@ -2,6 +2,7 @@
 
 use std::collections::BTreeSet;
 
+use realo_report::has_recorded_detections;
 use realo_results::{Ages, Fates, Run, Spread};
 use realo_schemas::Kind;
 
@@ -90,7 +91,7 @@ impl<'a> Scored<'a> {
         })
     }
 
-    /// What it was scored on: protocol, logs and egos, and how many sweeps where somebody ended it.
+    /// What it was scored on: protocol, logs and egos, how many sweeps where somebody ended it, and whether detections came out of the log.
     fn scope(&self) -> Scope<'_> {
         let result = &self.run.result;
         (
@@ -98,6 +99,7 @@ impl<'a> Scored<'a> {
             result.logs.iter().map(String::as_str).collect(),
             result.egos.iter().map(String::as_str).collect(),
             result.ended_by.as_ref().map(|_| result.frames.key),
+            has_recorded_detections(self.run),
         )
     }
 
@@ -109,7 +111,7 @@ impl<'a> Scored<'a> {
     }
 }
 
-type Scope<'a> = (Option<&'a str>, BTreeSet<&'a str>, BTreeSet<&'a str>, Option<u64>);
+type Scope<'a> = (Option<&'a str>, BTreeSet<&'a str>, BTreeSet<&'a str>, Option<u64>, bool);
 
 fn ranking(scored: &[Scored], iou: &str) -> String {
     let mut order: Vec<&Scored> = scored.iter().collect();
@@ -200,13 +202,14 @@ fn better_on_classes(order: &[&Scored]) -> String {
 
 /// What runs have been scored on that is not the same for all.
 fn apart(scored: &[&Scored]) -> String {
-    let (protocol, logs, egos, ended) = scored[0].scope();
+    let (protocol, logs, egos, ended, recorded) = scored[0].scope();
     let all = |is_same: &dyn Fn(&Scored) -> bool| scored.iter().all(|one| is_same(one));
     let parts = [
         ("logs", all(&|one| one.scope().1 == logs)),
         ("egos", all(&|one| one.scope().2 == egos)),
         ("protocol", all(&|one| one.scope().0 == protocol)),
         ("sweeps", all(&|one| one.scope().3 == ended)),
+        ("source of detections", all(&|one| one.scope().4 == recorded)),
     ];
     let apart: Vec<&str> = parts.iter().filter(|(_, same)| !same).map(|(name, _)| *name).collect();
     apart.join(" and ")
@@ -325,7 +328,7 @@ fn harmed(fused: &Scored, alone: &Scored) -> Vec<String> {
 fn traffic(runs: &[(&str, &Run)]) -> String {
     let (mut sent, mut lost, mut fates) = (0, 0, Fates::default());
     let mut ages = Ages::default();
-    let (mut skipped, mut key) = (0, 0);
+    let (mut skipped, mut key, mut within) = (0, 0, 0);
     for (_, run) in runs {
         let channels = run
             .result
@@ -346,11 +349,16 @@ fn traffic(runs: &[(&str, &Run)]) -> String {
         kinds.for_each(|(_, of_kind)| ages.merge(&if offline { of_kind.distances() } else { of_kind.clone() }));
         skipped += run.result.frames.key_skipped;
         key += run.result.frames.key;
+        within += run.result.transport.total_lost;
     }
     let boxes = match skipped {
         _ if key == 0 => "no sweep is scored".to_string(),
         0 => format!("all {key} scored sweeps got boxes"),
         _ => format!("{skipped} of {key} scored sweeps got no boxes"),
+    };
+    let boxes = match within {
+        0 => boxes,
+        lost => format!("{boxes}; dora lost {lost} between nodes, so scores are those of a disturbed run"),
     };
     if sent == 0 {
         return format!("No message for fusion crossed a link; {boxes}.");

@@ -66,14 +66,21 @@ fn numbers(run: &Run) -> [String; 5] {
         (None, _) => format!("{NONE} Hz"),
     };
     let channels = result.channels().filter(|(_, kind, _)| *kind != STATE);
-    let lost: u64 = channels.map(|(.., books)| books.lost).sum();
-    let lost = lost + result.transport.total_lost;
-    let lost = match result.frames.key_skipped {
-        0 => format!("{} lost", count(lost)),
-        1 => format!("{} lost, 1 sweep without boxes", count(lost)),
-        skipped => format!("{} lost, {} sweeps without boxes", count(lost), count(skipped)),
-    };
-    [accuracy, format!("{traffic} KB a sweep"), old, pace, lost]
+    let (mut lost, mut too_old) = (result.transport.total_lost, 0);
+    for (.., books) in channels {
+        lost += books.lost;
+        too_old += books.accounted.as_ref().map_or(0, |accounted| accounted.fates.stale);
+    }
+    let mut gone = format!("{} lost", count(lost));
+    if too_old > 0 {
+        gone += &format!(", {} too old", count(too_old));
+    }
+    match result.frames.key_skipped {
+        0 => {}
+        1 => gone += ", 1 sweep without boxes",
+        skipped => gone += &format!(", {} sweeps without boxes", count(skipped)),
+    }
+    [accuracy, format!("{traffic} KB a sweep"), old, pace, gone]
 }
 
 #[cfg(test)]

@@ -437,8 +437,25 @@ function machineWords() {
   return `${where}${isas.length ? `; kernels of the networks: ${isas.join(", ")}` : ""}.`;
 }
 
+/** How many of some stages lie before one of them on a run's graph, at most. */
+function depth(run, stage, stages, above = []) {
+  const inputs = Object.entries(run.graph[stage] || {}).filter(([key]) => key.startsWith("inputs.")).flatMap(([, from]) => from.split(/[\s,]+/));
+  const before = new Set(inputs.map((from) => from.split("/")[0]).filter((from) => stages.includes(from) && from !== stage && !above.includes(from)));
+  return Math.max(0, ...[...before].map((from) => 1 + depth(run, from, stages, [...above, stage])));
+}
+
+/** The stages on the way of the ego's boxes, in the order of the way. */
+function stagesInOrder() {
+  const MOST = 16, deep = new Map();
+  for (const run of DOC.runs) {
+    const stages = Object.keys(run.timing.joining);
+    for (const stage of stages) deep.set(stage, Math.max(deep.get(stage) || 0, stages.length > MOST ? 0 : depth(run, stage, stages)));
+  }
+  return [...deep.keys()].sort((a, b) => deep.get(a) - deep.get(b));
+}
+
 function stageFigure() {
-  const stages = [...new Set(DOC.runs.flatMap((run) => Object.keys(run.timing.joining)))];
+  const stages = stagesInOrder();
   const rows = DOC.runs.filter(hasLatency).map((run) => ({
     name: run.name,
     parts: stages.flatMap((stage, at) => {

@@ -11,7 +11,7 @@ const AGAIN = 1000;
 const SLOWLY = 1000;
 
 /** What is known of the run; a test reads how many pictures came. */
-const live = { shows: true, reached: false, run: null, pictures: 0, points: 0, times: [], slow: -SLOWLY, fitted: null, classes: 0, used: new Map() };
+const live = { shows: true, reached: false, run: null, ended: false, pictures: 0, points: 0, times: [], slow: -SLOWLY, fitted: null, classes: 0, used: new Map() };
 
 function say(words) {
   byId("what").textContent = words;
@@ -21,6 +21,7 @@ function say(words) {
 function sayHow() {
   if (!live.reached) { say("The run has ended and its view is closed, or cannot be reached. What came until then stays here."); return; }
   if (!live.run) { say("Waiting for the first run to begin."); return; }
+  if (live.ended) { say(`${live.run.mode} · the run has ended. Its table is in the terminal, and realo report makes a page of it.`); return; }
   const since = performance.now() - 3000;
   live.times = live.times.filter((time) => time > since);
   const rate = (live.times.length / 3).toFixed(1);
@@ -42,6 +43,7 @@ function setShows(newest) {
 /** A new run takes the place of the one before. */
 function openRun({ run, scene: opened, iou, classes }) {
   live.run = run;
+  live.ended = false;
   live.pictures = 0;
   live.times = [];
   live.fitted = null;
@@ -158,6 +160,7 @@ function addUsed(seq, rows) {
 function takeText(text) {
   const said = JSON.parse(text);
   if (said.what === "scene") openRun(said);
+  if (said.what === "ended") { live.ended = true; sayHow(); }
   if (said.what === "used" && live.run) {
     scene().agents = said.agents;
     for (const [seq, rows] of Object.entries(said.used)) addUsed(Number(seq), rows);

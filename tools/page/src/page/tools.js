@@ -7,7 +7,7 @@ const FATES = DOC.words.fates;
 const FATE_WORDS = {
   used: "used", skipped: "skipped by a busy stage", over_limit: "over the limit", distrusted: "distrusted",
   stale: "too old", superseded: "replaced by a newer one", lost: "lost on the link", rejected: "rejected",
-  in_flight: "never asked for",
+  in_flight: "in flight at the end",
 };
 const DASHES = ["", "7 3", "2 3", "9 3 2 3", "4 2", "12 4"];
 

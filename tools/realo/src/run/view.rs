@@ -284,6 +284,13 @@ impl Drop for Showing {
             tap.flush(Duration::from_millis(500));
             tap.close();
         }
+        // Another run that goes on beside it may be the one that is shown.
+        if self.tap.is_none() && self.inlet.take().is_none() {
+            return;
+        }
+        if let Some(page) = &self.view.page {
+            page.say(&Live::ending());
+        }
         self.view.taken.store(false, Ordering::SeqCst);
     }
 }
