@@ -174,9 +174,9 @@ const FAULTS: [Counter; Fault::ALL.len()] = [
     ),
     fault(
         "gnss_conflict",
-        "estimates that were given up, because GNSS contradicted them for long",
-        "estimates were given up, because GNSS contradicted them for long",
-        "{node} began anew; is it the map of this place?",
+        "estimates that were given up, because GNSS contradicted them for long, or for as long as it had supported them",
+        "estimates were given up, because GNSS contradicted them for long, or for as long as it had supported them",
+        "{node} began anew, or went to the new place; is it the map of this place? Was the receiver between buildings at the start?",
     ),
     certain(
         "gnss_track",

@@ -186,6 +186,9 @@ impl Estimator {
             return self.beginning(filter, stamp);
         };
         let mut estimate = Estimate::of(belief, filter.rate(stamp), stamp, Status::Tracking, &self.rules);
+        let doubt = filter.doubt(stamp, &self.rules);
+        let mut place = estimate.covariance.fixed_view_mut::<2, 2>(0, 0);
+        place += doubt;
         let limits = &self.rules.limits;
         let is_astray = filter.is_astray(stamp);
         let certain = !is_astray

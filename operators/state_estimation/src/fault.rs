@@ -55,7 +55,7 @@ faults! {
     GnssGate "gnss_gate",
     /// A GNSS height farther from the estimate than chance allows.
     GnssHeightGate "gnss_height_gate",
-    /// GNSS contradicted the estimate for so long that the estimate was given up.
+    /// GNSS contradicted the estimate for so long that the estimate was given up, or its place, if it rested on few fixes.
     GnssConflict "gnss_conflict",
     /// GNSS fixes that agree with each other left the estimate behind, which was given up at once.
     GnssTrack "gnss_track",

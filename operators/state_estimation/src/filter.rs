@@ -1,6 +1,6 @@
 //! The filter: what it believes after samples in the order of their stamps. Its state is a function of that order alone.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix2, Vector3};
 use realo_schemas::Nanos;
 
 use crate::agreement::Agreement;
@@ -13,6 +13,7 @@ use crate::rules::{Checked, Rules};
 use crate::source::{Source, conflict};
 use crate::start::Start;
 use crate::track::{Leaving, Track};
+use crate::witness::Witness;
 use crate::{ImuSample, Verdict};
 
 /// An IMU sample holds so long, ns; after that the motion is not known.
@@ -57,6 +58,7 @@ pub(crate) struct Filter {
     agreement: Agreement,
     track: Track,
     leaving: Option<Leaving>,
+    witness: Witness,
     /// When fixes left the estimate.
     left: Option<Nanos>,
     /// The stamp of the first sample.
@@ -99,6 +101,7 @@ impl Filter {
             agreement: Agreement::default(),
             track: Track::default(),
             leaving: None,
+            witness: Witness::default(),
             left: None,
             first: None,
             monitor: ImuMonitor::default(),
@@ -252,7 +255,20 @@ impl Filter {
         };
         let innovation = fix.horizontal(belief, rules);
         let residual = Vector3::new(innovation.residual.x, innovation.residual.y, 0.0);
-        let outcome = belief.correct(&innovation);
+        let mut outcome = belief.correct(&innovation);
+        let unit = libm::hypot(rules.noise.gnss[0], rules.noise.gnss[1]);
+        match outcome {
+            Outcome::Gated => self.witness.contradict(stamp, residual.xy(), unit),
+            _ => self.witness.support(stamp),
+        }
+        let is_alone = !self.scans.is_used(stamp, rules.limits.gnss_conflict);
+        if is_alone && self.witness.is_outvoted() {
+            // The place alone is given up: fixes that are off all by the same turn nothing.
+            self.faults.note(Fault::GnssConflict, stamp);
+            belief.doubt(&Vector3::repeat(residual.norm()), &Vector3::zeros());
+            outcome = belief.correct(&fix.horizontal(belief, rules));
+            self.witness = Witness::default();
+        }
         self.fixes.note(outcome, stamp, residual);
         let spread = belief.covariance[(0, 0)] + belief.covariance[(1, 1)] + fix.variance.x + fix.variance.y;
         if outcome == Outcome::Gated {
@@ -311,6 +327,14 @@ impl Filter {
     fn is_turned(&self, stamp: Nanos) -> bool {
         let (count, last) = self.turned;
         count >= TURNED.1 && stamp - last <= TURNED_SINCE && self.agreement.course.is_proven()
+    }
+
+    /// What fixes that contradict an estimate of few others add to the covariance of its place, m².
+    pub fn doubt(&self, stamp: Nanos, rules: &Rules) -> Matrix2<f64> {
+        match self.scans.is_used(stamp, rules.limits.gnss_conflict) {
+            true => Matrix2::zeros(),
+            false => self.witness.doubt(),
+        }
     }
 
     /// What of the IMU was stuck last.
@@ -408,6 +432,7 @@ impl Filter {
         self.fixes = Source::default();
         self.resting = None;
         self.leaving = None;
+        self.witness = Witness::default();
         self.turned = (0, stamp);
     }
 }

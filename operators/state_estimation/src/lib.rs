@@ -49,6 +49,7 @@ mod source;
 mod start;
 mod track;
 mod unit;
+mod witness;
 
 pub use belief::{quaternion_of, vector_of};
 pub use deskew::{deskewed, level, level_pose};

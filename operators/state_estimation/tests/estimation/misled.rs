@@ -119,6 +119,62 @@ fn a_gyro_or_an_accelerometer_that_stands_still_alone_is_named_and_not_used() {
     }
 }
 
+/// Moves fixes from one time to another by 10 m to the north.
+fn jumping(from: f64, to: f64) -> impl FnMut(f64, Sample) -> Sample {
+    move |at, sample| match sample {
+        Sample::Gnss(mut fix) if (from..to).contains(&at) => {
+            fix.place.latitude_deg += 10.0 / 111_195.0;
+            Sample::Gnss(fix)
+        }
+        other => other,
+    }
+}
+
+#[test]
+fn fixes_that_were_off_at_the_start_are_outvoted_by_those_that_follow() {
+    let mut count = 0;
+    for seed in 1..7 {
+        for until in [3.0, 5.0, 8.0] {
+            let name = format!("off until {until} s, seed {seed}");
+            let (estimator, looks) = drive(plan(false, seed), jumping(0.0, until));
+            println!("{name}: {:.2} m from 2.2 times on", worst(&looks, 2.2 * until, 0));
+            // Nothing shows that they are off, until others come.
+            let after: Vec<Look> = looks.into_iter().filter(|look| look.at > until + 0.5).collect();
+            honest(&after, &name);
+            assert!(worst(&after, 2.2 * until + 0.5, 0) < 4.0, "{name}");
+            let given_up = estimator.faults().count(Fault::GnssConflict);
+            assert!(given_up <= 1, "{name}");
+            count += given_up;
+            assert!(
+                after.iter().filter(|look| look.at > 20.0).all(Look::is_relied_on),
+                "{name}"
+            );
+        }
+    }
+    assert!(count > 12, "{count} of 18");
+}
+
+#[test]
+fn a_jump_after_a_good_time_is_refused_and_one_that_is_shorter_than_the_start_changes_nothing() {
+    for seed in 1..13 {
+        for (from, to) in [(5.0, 8.0), (16.0, 26.0), (40.0, 50.0)] {
+            let name = format!("off from {from} to {to} s, seed {seed}");
+            let (estimator, looks) = drive(plan(false, seed), jumping(from, to));
+            let faults = estimator.faults();
+            assert_eq!(
+                [Fault::GnssConflict, Fault::GnssTrack].map(|fault| faults.count(fault)),
+                [0, 0],
+                "{name}"
+            );
+            let during: Vec<Look> = looks.into_iter().filter(|look| look.at > from).collect();
+            honest(&during, &name);
+            assert!(worst(&during, 0.0, 0) < 4.0, "{name}");
+            let is_long = from > 12.0;
+            assert!(!is_long || during.iter().all(Look::is_relied_on), "{name}");
+        }
+    }
+}
+
 /// What no sample shows: rates with noise about one value that is not true.
 #[test]
 fn scans_show_a_gyro_that_turns_otherwise_than_they_do() {
