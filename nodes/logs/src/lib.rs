@@ -53,6 +53,7 @@ mod mcap_writer;
 mod merge;
 pub mod motion;
 mod motion_faults;
+mod motion_stuck;
 mod motion_turns;
 pub mod objects;
 pub mod outline;

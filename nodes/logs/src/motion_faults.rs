@@ -2,6 +2,7 @@
 
 use realo_schemas::{GnssFix, ImuSample, Motion, Nanos, WheelSpeed, to_seconds};
 
+use crate::motion_stuck::stuck_faults;
 use crate::motion_turns::{Place, turn_faults};
 use crate::words::seconds;
 use crate::{Log, LogError, Stream};
@@ -13,7 +14,7 @@ pub const MOTION_UNUSABLE: [&str; 2] = [
 ];
 
 /// Readings that are equal to the bit so often in a row are of a sensor that is stuck.
-const STUCK_IMU: usize = 50;
+pub(crate) const STUCK_IMU: usize = 50;
 const STUCK_FIXES: usize = 20;
 const STUCK_WHEELS: usize = 100;
 /// Extreme readings that are equal so often in a row are at the end of the sensor's range.
@@ -49,6 +50,7 @@ pub(crate) fn motion_faults(log: &Log, agent: &str) -> Result<Vec<String>, LogEr
         found.extend(unusable.map(|words| format!("{topic}: {words}")));
         let faults = [
             disorder(&stamps),
+            stuck_faults(&all.imu, &poses),
             imu_faults(&all.imu),
             turn_faults(&all.imu, &poses),
             fix_faults(&all.fixes, &poses),

@@ -391,12 +391,12 @@ impl Agent {
     }
 
     fn report<O: StageOutputs>(&mut self, agent: &str, out: &mut Outputs<O>) {
-        let (faults, offset) = match &self.filter {
-            Some(Filter::Vehicle(estimator)) => (estimator.faults(), estimator.gnss_offset()),
-            Some(Filter::Held(held)) => (held.faults(), None),
+        let (faults, found) = match &self.filter {
+            Some(Filter::Vehicle(estimator)) => (estimator.faults(), (estimator.gnss_offset(), estimator.stuck())),
+            Some(Filter::Held(held)) => (held.faults(), (None, None)),
             None => return,
         };
-        self.reported.count(agent, &faults, &self.taken, offset, out);
+        self.reported.count(agent, &faults, &self.taken, found, out);
     }
 }
 

@@ -1,7 +1,7 @@
 //! What was wrong with the measurements of an agent, as counters of the stage.
 
 use realo_operator::{Counter, Outputs, StageOutputs};
-use realo_state_estimation::{Fault, Faults};
+use realo_state_estimation::{Fault, Faults, Stuck};
 
 use crate::motion::{GNSS_FIXES, IMU_SAMPLES, MOTION_BACKWARDS, WHEEL_SPEEDS};
 
@@ -101,7 +101,7 @@ const FAULTS: [Counter; Fault::ALL.len()] = [
     ),
     fault(
         "imu_stuck",
-        "IMU samples that do not change at all",
+        "IMU samples of which the angular rates, the specific forces or both do not change at all",
         "samples of the IMU were not used, because they do not change at all",
         SENSORS,
     ),
@@ -131,8 +131,9 @@ const FAULTS: [Counter; Fault::ALL.len()] = [
     ),
     certain(
         "imu_track",
-        "times in which turns or accelerations of the IMU contradict the track of GNSS and the wheels",
-        "times were found in which turns or accelerations of the IMU contradict the track of GNSS and the wheels",
+        "times in which turns or accelerations of the IMU contradict the track of GNSS or of sweeps on the map, and the wheels; IMU samples \
+         that were not used after sweeps did",
+        "times were found in which turns or accelerations of the IMU contradict the track of GNSS or of sweeps on the map, and the wheels",
         "correct the signs and axes of the IMU's rates and forces, or its frame in `/tf_static`",
     ),
     fault(
@@ -173,9 +174,9 @@ const FAULTS: [Counter; Fault::ALL.len()] = [
     ),
     fault(
         "gnss_conflict",
-        "estimates that were given up, because GNSS contradicted them for long",
-        "estimates were given up, because GNSS contradicted them for long",
-        "{node} began anew; is it the map of this place?",
+        "estimates that were given up, because GNSS contradicted them for long, or for as long as it had supported them",
+        "estimates were given up, because GNSS contradicted them for long, or for as long as it had supported them",
+        "{node} began anew, or went to the new place; is it the map of this place? Was the receiver between buildings at the start?",
     ),
     certain(
         "gnss_track",
@@ -349,13 +350,13 @@ impl Default for Reported {
 impl Reported {
     /// Counts what is new; faults that never happened are not mentioned.
     ///
-    /// `gnss_offset`: by how much GNSS and map disagree, m.
+    /// `gnss_offset`: by how much GNSS and map disagree, m. `stuck`: what of the IMU is.
     pub fn count<O: StageOutputs>(
         &mut self,
         agent: &str,
         faults: &Faults,
         taken: &Taken,
-        gnss_offset: Option<f64>,
+        (gnss_offset, stuck): (Option<f64>, Option<Stuck>),
         out: &mut Outputs<O>,
     ) {
         for fault in Fault::ALL {
@@ -373,6 +374,12 @@ impl Reported {
             let words = || format!("GNSS and map disagree by {off:.1} m");
             out.found(counter(Fault::GnssOffset), agent, words);
         }
+        let part = match stuck {
+            Some(Stuck::Gyroscopes) => "the angular rates of its gyroscopes alone",
+            Some(Stuck::Accelerometers) => "the forces of its accelerometers alone",
+            Some(Stuck::Whole) | None => return,
+        };
+        out.found(counter(Fault::ImuStuck), agent, || part.into());
     }
 }
 

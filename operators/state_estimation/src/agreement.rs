@@ -6,6 +6,7 @@ use realo_schemas::geometry::{normalize_yaw, yaw_of};
 use realo_schemas::{Nanos, from_seconds};
 
 use crate::ImuSample;
+use crate::course::Course;
 use crate::models::LocalScan;
 use crate::reckoning::Reckoning;
 use crate::rules::Rules;
@@ -24,6 +25,7 @@ const PROVEN: (u32, f64) = (10, 5.0);
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Agreement {
     pub odometer: Reckoning,
+    pub course: Course,
     run: Option<Run>,
 }
 
@@ -51,6 +53,7 @@ impl Agreement {
     /// Takes a usable IMU sample; `period`: since the one before, s.
     pub fn imu(&mut self, sample: &ImuSample, period: f64, rules: &Rules) {
         self.odometer.imu(sample, period, rules);
+        self.course.imu(sample.stamp);
     }
 
     /// Takes a speed of the wheels.
@@ -59,8 +62,9 @@ impl Agreement {
     }
 
     /// Takes a scan's pose.
-    pub fn scan(&mut self, stamp: Nanos, scan: &LocalScan) {
+    pub fn scan(&mut self, stamp: Nanos, scan: &LocalScan, rules: &Rules) {
         self.odometer.advance(stamp);
+        self.course.scan(stamp, scan, &self.odometer, rules);
         let here = Anchor {
             stamp,
             place: scan.map_from_body.translation.vector.xy(),
@@ -84,8 +88,12 @@ impl Agreement {
         self.run = Some(run);
     }
 
-    /// Whether scans up to now agree with the motion, over enough of it to tell.
+    /// Whether scans up to now agree with the motion, over enough of it to tell: by wheels and gyro, or by wheels alone.
     pub fn is_proven(&self) -> bool {
+        self.is_proven_by_both() || self.course.is_proven()
+    }
+
+    fn is_proven_by_both(&self) -> bool {
         let (count, way) = PROVEN;
         let is_known = self.odometer.speed.is_some();
         is_known

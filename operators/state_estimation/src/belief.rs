@@ -56,6 +56,24 @@ impl Belief {
         self.covariance += column * column.transpose();
     }
 
+    /// Widens what is known of the place, m along each axis of `map`, and of the turn about each of them, rad. A wrong heading turns the
+    /// velocity with it.
+    pub fn doubt(&mut self, place: &Vector3<f64>, turn: &Vector3<f64>) {
+        let imu_from_map = self.map_from_imu.inverse();
+        for axis in 0..3 {
+            let mut off = Errors::zeros();
+            off[POSITION + axis] = place[axis];
+            self.widen(&off);
+            let mut turned = Vector3::zeros();
+            turned[axis] = turn[axis];
+            let mut off = Errors::zeros();
+            off.fixed_rows_mut::<3>(ATTITUDE).copy_from(&(imu_from_map * turned));
+            off.fixed_rows_mut::<3>(VELOCITY)
+                .copy_from(&turned.cross(&self.velocity));
+            self.widen(&off);
+        }
+    }
+
     /// Takes an estimated error into the state, and the covariance to the new attitude.
     ///
     /// Nothing on board shows which way north is: a wrong heading turns position, velocity and attitude alike, so its error goes with a

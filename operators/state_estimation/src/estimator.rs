@@ -7,7 +7,7 @@ use crate::fault::{Fault, Faults};
 use crate::filter::Filter;
 use crate::rules::{Checked, Rules};
 use crate::settings::{Settings, SettingsError};
-use crate::{Estimate, Sample, Status};
+use crate::{Estimate, Sample, Status, Stuck};
 
 /// A stamp may be so far ahead of all others, ns.
 const AHEAD: Nanos = 1_000_000_000;
@@ -186,6 +186,9 @@ impl Estimator {
             return self.beginning(filter, stamp);
         };
         let mut estimate = Estimate::of(belief, filter.rate(stamp), stamp, Status::Tracking, &self.rules);
+        let doubt = filter.doubt(stamp, &self.rules);
+        let mut place = estimate.covariance.fixed_view_mut::<2, 2>(0, 0);
+        place += doubt;
         let limits = &self.rules.limits;
         let is_astray = filter.is_astray(stamp);
         let certain = !is_astray
@@ -242,6 +245,11 @@ impl Estimator {
     /// How far GNSS was off last by scans that are believed rather than it, m.
     pub fn gnss_offset(&self) -> Option<f64> {
         self.latest().gnss_offset
+    }
+
+    /// What of the IMU was stuck last.
+    pub fn stuck(&self) -> Option<Stuck> {
+        self.latest().stuck()
     }
 
     /// The biases of gyro (rad/s) and accelerometer (m/s²) as estimated, in the IMU's frame.

@@ -29,7 +29,7 @@ faults! {
     ImuNotFinite "imu_not_finite",
     /// An IMU sample at the end of the unit's range.
     ImuSaturated "imu_saturated",
-    /// IMU samples that do not change at all.
+    /// IMU samples of which rates, forces or both do not change at all.
     ImuStuck "imu_stuck",
     /// The mean specific force does not point up with the length of gravity: the IMU is upside down, turned against its
     /// mounting, or reports in other units.
@@ -40,7 +40,8 @@ faults! {
     ImuGap "imu_gap",
     /// A fix with no usable IMU sample in the second before it.
     ImuSilent "imu_silent",
-    /// The turns or accelerations of the IMU contradict the track of GNSS and the wheels.
+    /// The turns or accelerations of the IMU contradict the track of GNSS or scans, and the wheels; a sample that is not used after scans
+    /// did.
     ImuTrack "imu_track",
     /// A GNSS fix with NaN or infinity, or a variance that is not above 0.
     GnssNotFinite "gnss_not_finite",
@@ -54,7 +55,7 @@ faults! {
     GnssGate "gnss_gate",
     /// A GNSS height farther from the estimate than chance allows.
     GnssHeightGate "gnss_height_gate",
-    /// GNSS contradicted the estimate for so long that the estimate was given up.
+    /// GNSS contradicted the estimate for so long that the estimate was given up, or its place, if it rested on few fixes.
     GnssConflict "gnss_conflict",
     /// GNSS fixes that agree with each other left the estimate behind, which was given up at once.
     GnssTrack "gnss_track",

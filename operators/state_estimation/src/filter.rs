@@ -1,18 +1,19 @@
 //! The filter: what it believes after samples in the order of their stamps. Its state is a function of that order alone.
 
-use nalgebra::Vector3;
+use nalgebra::{Matrix2, Vector3};
 use realo_schemas::Nanos;
 
 use crate::agreement::Agreement;
 use crate::belief::Belief;
 use crate::correct::Outcome;
 use crate::fault::{Fault, Faults};
-use crate::imu::{ImuMonitor, between, held};
+use crate::imu::{ImuMonitor, Stuck, between, held};
 use crate::models::{self, LocalFix, LocalScan};
 use crate::rules::{Checked, Rules};
 use crate::source::{Source, conflict};
 use crate::start::Start;
 use crate::track::{Leaving, Track};
+use crate::witness::Witness;
 use crate::{ImuSample, Verdict};
 
 /// An IMU sample holds so long, ns; after that the motion is not known.
@@ -31,6 +32,15 @@ const RECENT: Nanos = 1_000_000_000;
 
 /// An IMU without a usable sample for so long is silent, ns.
 const SILENT: Nanos = 1_000_000_000;
+/// A gyro that scans contradict is not used for so long, ns.
+const MISLED: Nanos = 20_000_000_000;
+/// Where the gyro was wrong, the estimate is taken for so much more than the scan's distance from it: m, and rad of tilt and heading.
+const LED: [f64; 3] = [0.5, 0.03, 0.1];
+/// Scans that are turned against the estimate, rad, so many in a row.
+const TURNED: (f64, u32) = (0.05, 3);
+/// The last of them no longer ago, ns.
+const TURNED_SINCE: Nanos = 500_000_000;
+
 /// An estimate that fixes left is not believed again for so long while a sensor contradicts them, ns.
 const DISTRUST: Nanos = 20_000_000_000;
 
@@ -48,13 +58,20 @@ pub(crate) struct Filter {
     agreement: Agreement,
     track: Track,
     leaving: Option<Leaving>,
+    witness: Witness,
     /// When fixes left the estimate.
     left: Option<Nanos>,
     /// The stamp of the first sample.
     first: Option<Nanos>,
     monitor: ImuMonitor,
-    /// The last usable sample, and its time since the one before, s.
+    /// The last sample that was used, and its time since the one before, s.
     imu: Option<(ImuSample, f64)>,
+    /// The stamp of the last usable one.
+    heard: Option<Nanos>,
+    /// When scans last contradicted the gyro.
+    misled: Option<Nanos>,
+    /// Scans in a row that were refused for their heading, and the last of them.
+    turned: (u32, Nanos),
     last_fix: Option<(Nanos, Vector3<f64>)>,
     /// Since when the wheels stand.
     resting: Option<Nanos>,
@@ -84,10 +101,14 @@ impl Filter {
             agreement: Agreement::default(),
             track: Track::default(),
             leaving: None,
+            witness: Witness::default(),
             left: None,
             first: None,
             monitor: ImuMonitor::default(),
             imu: None,
+            heard: None,
+            misled: None,
+            turned: (0, 0),
             last_fix: None,
             resting: None,
             rested: None,
@@ -155,15 +176,21 @@ impl Filter {
     }
 
     fn take_imu(&mut self, sample: &ImuSample, rules: &Rules) -> Result<(), Fault> {
-        self.monitor.look(sample, rules)?;
-        let period = self.imu.as_ref().map(|(last, _)| sample.stamp - last.stamp);
-        self.advance(sample.stamp, Some(sample), rules);
+        self.monitor.look(sample, self.agreement.odometer.speed, rules)?;
+        let is_misled = self.misled.is_some_and(|at| sample.stamp - at <= MISLED);
+        if !is_misled {
+            self.advance(sample.stamp, Some(sample), rules);
+        }
+        let period = self.heard.replace(sample.stamp).map(|last| sample.stamp - last);
         let gap = period.is_some_and(|period| period > HOLD);
         let period = period.map_or(0.01, |period| seconds(period.min(HOLD)));
         self.agreement.imu(sample, period, rules);
         self.track.imu(sample, period, rules);
         if self.belief.is_none() {
             self.start.imu(sample, period, rules);
+        }
+        if is_misled {
+            return Err(Fault::ImuTrack);
         }
         self.imu = Some((*sample, period));
         if gap {
@@ -228,7 +255,20 @@ impl Filter {
         };
         let innovation = fix.horizontal(belief, rules);
         let residual = Vector3::new(innovation.residual.x, innovation.residual.y, 0.0);
-        let outcome = belief.correct(&innovation);
+        let mut outcome = belief.correct(&innovation);
+        let unit = libm::hypot(rules.noise.gnss[0], rules.noise.gnss[1]);
+        match outcome {
+            Outcome::Gated => self.witness.contradict(stamp, residual.xy(), unit),
+            _ => self.witness.support(stamp),
+        }
+        let is_alone = !self.scans.is_used(stamp, rules.limits.gnss_conflict);
+        if is_alone && self.witness.is_outvoted() {
+            // The place alone is given up: fixes that are off all by the same turn nothing.
+            self.faults.note(Fault::GnssConflict, stamp);
+            belief.doubt(&Vector3::repeat(residual.norm()), &Vector3::zeros());
+            outcome = belief.correct(&fix.horizontal(belief, rules));
+            self.witness = Witness::default();
+        }
         self.fixes.note(outcome, stamp, residual);
         let spread = belief.covariance[(0, 0)] + belief.covariance[(1, 1)] + fix.variance.x + fix.variance.y;
         if outcome == Outcome::Gated {
@@ -275,16 +315,44 @@ impl Filter {
         }
     }
 
-    /// Whether an estimate is wrong again soon: a sensor that led one astray still contradicts GNSS, and no scans are there.
+    /// Whether an estimate is wrong, or is again soon: a sensor that led one astray still contradicts GNSS and no scans are there, or scans
+    /// contradict the heading.
     pub fn is_astray(&self, stamp: Nanos) -> bool {
         let left = self.left.is_some_and(|left| stamp - left <= DISTRUST);
-        left && self.track.is_contradicted(stamp) && !self.scans.is_used(stamp, RECENT)
+        let is_left = left && self.track.is_contradicted(stamp) && !self.scans.is_used(stamp, RECENT);
+        is_left || self.is_turned(stamp)
+    }
+
+    /// Whether scans that follow each other as the wheels roll contradict the heading.
+    fn is_turned(&self, stamp: Nanos) -> bool {
+        let (count, last) = self.turned;
+        count >= TURNED.1 && stamp - last <= TURNED_SINCE && self.agreement.course.is_proven()
+    }
+
+    /// What fixes that contradict an estimate of few others add to the covariance of its place, m².
+    pub fn doubt(&self, stamp: Nanos, rules: &Rules) -> Matrix2<f64> {
+        match self.scans.is_used(stamp, rules.limits.gnss_conflict) {
+            true => Matrix2::zeros(),
+            false => self.witness.doubt(),
+        }
+    }
+
+    /// What of the IMU was stuck last.
+    pub fn stuck(&self) -> Option<Stuck> {
+        self.monitor.stuck
     }
 
     fn take_scan(&mut self, stamp: Nanos, scan: &LocalScan, rules: &Rules) -> Result<(), Fault> {
         self.advance(stamp, None, rules);
-        self.agreement.scan(stamp, scan);
-        let taken = self.correct_by_scan(stamp, scan, rules);
+        self.agreement.scan(stamp, scan, rules);
+        let mut taken = self.correct_by_scan(stamp, scan, rules);
+        if self.agreement.course.is_gyro_wrong() {
+            self.faults.note(Fault::ImuTrack, stamp);
+            self.misled = Some(stamp);
+            if taken == Err(Fault::ScanGate) {
+                taken = self.correct_misled(stamp, scan, rules);
+            }
+        }
         match taken {
             Err(Fault::ScanGate) if self.is_overruled(stamp, scan, rules) => {
                 let begun = Start::at_scan(&self.agreement.odometer, scan, rules);
@@ -304,9 +372,32 @@ impl Filter {
         };
         let innovation = models::scan_pose(belief, rules, scan);
         let residual = innovation.residual.fixed_rows::<3>(0).into_owned();
+        let turned = innovation.residual[5].abs();
         let outcome = belief.correct(&innovation);
         self.scans.note(outcome, stamp, residual);
+        let is_turned = outcome == Outcome::Gated && turned > TURNED.0;
+        self.turned = if is_turned {
+            (self.turned.0.saturating_add(1), stamp)
+        } else {
+            (0, stamp)
+        };
         used(outcome, Fault::ScanGate)
+    }
+
+    /// Takes a scan's pose for an estimate that a wrong gyro led astray, unless it is farther off than GNSS may be.
+    fn correct_misled(&mut self, stamp: Nanos, scan: &LocalScan, rules: &Rules) -> Result<(), Fault> {
+        let Some(belief) = &mut self.belief else {
+            return Err(Fault::ScanGate);
+        };
+        let residual = models::scan_pose(belief, rules, scan).residual;
+        let off = residual.xy().norm();
+        if off > rules.gnss_bias() {
+            return Err(Fault::ScanGate);
+        }
+        let [place, tilt, heading] = LED;
+        let doubt = Vector3::new(tilt, tilt, heading + residual[5].abs());
+        belief.doubt(&Vector3::new(off + place, off + place, place), &doubt);
+        self.correct_by_scan(stamp, scan, rules)
     }
 
     /// Whether scans are to be believed rather than what GNSS says: they agree with wheels and gyro, and GNSS is no farther off than it
@@ -326,6 +417,7 @@ impl Filter {
     fn begin(&mut self, belief: Option<Belief>, stamp: Nanos, source: impl Fn(&mut Filter) -> &mut Source) {
         if let Some(belief) = belief {
             self.belief = Some(belief);
+            self.turned = (0, stamp);
             self.start = Start::default();
             source(self).note(Outcome::Used, stamp, Vector3::zeros());
         }
@@ -340,6 +432,8 @@ impl Filter {
         self.fixes = Source::default();
         self.resting = None;
         self.leaving = None;
+        self.witness = Witness::default();
+        self.turned = (0, stamp);
     }
 }
 

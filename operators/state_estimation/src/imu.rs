@@ -9,6 +9,9 @@ use crate::rules::Rules;
 
 /// A sample may be the same as so many before it.
 const REPEATS: u32 = 2;
+/// Gyroscopes or accelerometers alone may repeat their values so often: in a vehicle that rolls by its wheels, and where no wheels say whether it
+/// does. Readings of a vehicle that stands may be less than a step of the unit apart for as long as it stands.
+const ALONE: [u32; 2] = [20, 50];
 /// Time over which the specific force is averaged, s.
 const AVERAGE_S: f64 = 1.0;
 /// The averaged force may lean so far from up (cosine), as it does at the hardest braking.
@@ -18,20 +21,36 @@ const LENGTH: [f64; 2] = [0.7, 1.3];
 /// One sample's force points up by at least so much, in gravities, unless a wheel falls into a hole.
 const UP: f64 = 0.2;
 
+/// What of an IMU is stuck.
+#[derive(Clone, Copy, Debug, PartialEq, Eq)]
+pub enum Stuck {
+    /// All of it.
+    Whole,
+    /// The gyroscopes alone.
+    Gyroscopes,
+    /// The accelerometers alone.
+    Accelerometers,
+}
+
 /// What is known of an IMU.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct ImuMonitor {
+    /// What was stuck last.
+    pub stuck: Option<Stuck>,
     last: Option<ImuSample>,
+    /// Samples in a row that repeat the one before.
     repeats: u32,
+    /// The same of angular rates and specific forces by themselves, while the vehicle does not stand.
+    alone: [u32; 2],
     average: Vector3<f64>,
 }
 
 impl ImuMonitor {
-    /// Looks at the next sample.
+    /// Looks at the next sample; `speed`: the last one of the wheels, m/s.
     ///
     /// # Errors
     /// Why it cannot be used.
-    pub fn look(&mut self, sample: &ImuSample, rules: &Rules) -> Result<(), Fault> {
+    pub fn look(&mut self, sample: &ImuSample, speed: Option<f64>, rules: &Rules) -> Result<(), Fault> {
         let force = rules.body_from_imu.rotation * sample.specific_force;
         let share = match &self.last {
             None => 1.0,
@@ -41,15 +60,8 @@ impl ImuMonitor {
             }
         };
         self.average += (force - self.average) * share;
-        let same =
-            |last: ImuSample| (last.angular_rate, last.specific_force) == (sample.angular_rate, sample.specific_force);
-        self.repeats = if self.last.is_some_and(same) {
-            self.repeats + 1
-        } else {
-            0
-        };
-        self.last = Some(*sample);
-        if self.repeats > REPEATS {
+        if let Some(stuck) = self.repeated(sample, speed) {
+            self.stuck = Some(stuck);
             return Err(Fault::ImuStuck);
         }
         let gravity = rules.earth.gravity;
@@ -59,6 +71,34 @@ impl ImuMonitor {
             return Err(Fault::ImuGravity);
         }
         Ok(())
+    }
+
+    /// What has repeated its values too often with the next sample.
+    fn repeated(&mut self, sample: &ImuSample, speed: Option<f64>) -> Option<Stuck> {
+        let same = self.last.replace(*sample).map_or([false; 2], |last| {
+            [
+                last.angular_rate == sample.angular_rate,
+                last.specific_force == sample.specific_force,
+            ]
+        });
+        let stands = speed == Some(0.0);
+        for (run, same) in self.alone.iter_mut().zip(same) {
+            *run = match same {
+                true => run.saturating_add(u32::from(!stands)),
+                false => 0,
+            };
+        }
+        self.repeats = match same {
+            [true, true] => self.repeats.saturating_add(1),
+            _ => 0,
+        };
+        let most = ALONE[usize::from(speed.is_none())];
+        match self.alone.map(|run| run > most) {
+            _ if self.repeats > REPEATS => Some(Stuck::Whole),
+            [true, _] => Some(Stuck::Gyroscopes),
+            [_, true] => Some(Stuck::Accelerometers),
+            [false, false] => None,
+        }
     }
 }
 
@@ -86,5 +126,71 @@ pub(crate) fn held(sample: &ImuSample, seconds: f64) -> Increment {
         turn: sample.angular_rate * seconds,
         push: sample.specific_force * seconds,
         spread: [Vector3::zeros(); 2],
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use realo_geodesy::{Geodetic, LocalFrame};
+    use realo_schemas::from_seconds;
+
+    use super::*;
+    use crate::{Settings, Unit};
+
+    /// Shows 400 samples at 100 Hz; the first that is stuck, and what of it.
+    fn stuck(
+        speed: impl Fn(usize) -> Option<f64>,
+        reading: impl Fn(usize) -> [f64; 2],
+    ) -> Option<(usize, Option<Stuck>)> {
+        let frame = LocalFrame::new(Geodetic::default()).unwrap();
+        let rules = Rules::new(Settings::new(Unit::Tactical, frame));
+        let mut monitor = ImuMonitor::default();
+        let first = (0..400).find(|k| {
+            let [turn, push] = reading(*k);
+            let sample = ImuSample {
+                stamp: from_seconds(0.01 * *k as f64),
+                angular_rate: Vector3::new(0.0, 0.01, turn),
+                specific_force: Vector3::new(push, 0.0, 9.8),
+            };
+            monitor.look(&sample, speed(*k), &rules) == Err(Fault::ImuStuck)
+        });
+        first.map(|at| (at, monitor.stuck))
+    }
+
+    #[test]
+    fn each_sensor_that_stands_still_is_found_by_itself() {
+        let noise = |k: usize| (k * 37 % 101) as f64 * 1e-3;
+        let from = |start: usize, k: usize| noise(k.min(start));
+        let moving = |_: usize| Some(8.0);
+        assert_eq!(stuck(moving, |k| [noise(k), noise(k + 1)]), None);
+        assert_eq!(
+            stuck(moving, |k| [from(200, k), from(200, k)]),
+            Some((203, Some(Stuck::Whole)))
+        );
+        assert_eq!(
+            stuck(moving, |k| [from(200, k), noise(k)]),
+            Some((221, Some(Stuck::Gyroscopes)))
+        );
+        assert_eq!(
+            stuck(moving, |k| [noise(k), from(200, k)]),
+            Some((221, Some(Stuck::Accelerometers)))
+        );
+        assert_eq!(
+            stuck(|_| None, |k| [from(200, k), noise(k)]),
+            Some((251, Some(Stuck::Gyroscopes)))
+        );
+    }
+
+    /// Steps of 0.06 °/s, as of a chip with 16 bits for 2,000 °/s, are more than a vehicle that stands shows.
+    #[test]
+    fn steps_of_the_unit_are_no_fault_while_the_vehicle_stands() {
+        let noise = |k: usize| (k * 37 % 101) as f64 * 1e-3;
+        assert_eq!(stuck(|_| Some(0.0), |k| [0.001, noise(k)]), None);
+        // It is one once the vehicle drives off.
+        let drives = |k: usize| Some(if k < 300 { 0.0 } else { 3.0 });
+        assert_eq!(
+            stuck(drives, |k| [0.001, noise(k)]),
+            Some((320, Some(Stuck::Gyroscopes)))
+        );
     }
 }

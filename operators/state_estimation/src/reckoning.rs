@@ -25,6 +25,8 @@ pub(crate) struct Reckoning {
     pub rate: f64,
     /// The last speed of the wheels, m/s.
     pub speed: Option<f64>,
+    /// How far the wheels rolled, m: less where they rolled back.
+    pub way: f64,
     sums: ForceSums,
 }
 
@@ -54,6 +56,7 @@ impl Reckoning {
         let middle = self.heading + 0.5 * self.rate * seconds;
         let (sin, cos) = libm::sincos(middle);
         self.place += Vector2::new(cos, sin) * (self.speed.unwrap_or(1.0) * seconds);
+        self.way += self.speed.unwrap_or(0.0) * seconds;
         self.heading += self.rate * seconds;
     }
 

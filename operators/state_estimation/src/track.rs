@@ -203,10 +203,16 @@ pub(crate) struct Leaving {
     since: Nanos,
     last: Nanos,
     count: u32,
-    first: Vector2<f64>,
+    /// How far off those of the beginning were, m: their sum and number.
+    first: (Vector2<f64>, f64),
+    /// How far off they are now, m: a mean that forgets.
+    recent: Vector2<f64>,
     position: Vector2<f64>,
 }
 
+/// Fixes of so long a beginning are averaged, ns, and later ones over so many seconds: noise alone leaves nothing behind.
+const BEGINNING: Nanos = 500_000_000;
+const RECENT_S: f64 = 0.3;
 /// Fixes are no farther apart than by so many standard deviations, and what a vehicle drives, m/s.
 const FOLLOWS: (f64, f64) = (5.0, 50.0);
 /// They left for so long, so many of them.
@@ -226,17 +232,29 @@ impl Leaving {
             stamp - last.last <= from_seconds(1.0) && (position - last.position).norm() <= reach
         };
         match before.filter(follows) {
-            Some(before) => Leaving {
-                last: stamp,
-                count: before.count.saturating_add(1),
-                position,
-                ..before
-            },
+            Some(before) => {
+                let (sum, count) = before.first;
+                let is_beginning = stamp - before.since <= BEGINNING;
+                let share = 1.0 - libm::exp(-to_seconds(stamp - before.last) / RECENT_S);
+                Leaving {
+                    last: stamp,
+                    count: before.count.saturating_add(1),
+                    first: if is_beginning {
+                        (sum + residual, count + 1.0)
+                    } else {
+                        (sum, count)
+                    },
+                    recent: before.recent + (residual - before.recent) * share,
+                    position,
+                    ..before
+                }
+            }
             None => Leaving {
                 since: stamp,
                 last: stamp,
                 count: 1,
-                first: residual,
+                first: (residual, 1.0),
+                recent: residual,
                 position,
             },
         }
@@ -247,6 +265,7 @@ impl Leaving {
         let seconds = to_seconds(stamp - self.since);
         let is_long = stamp - self.since >= LEFT.0 && self.count >= LEFT.1;
         let is_far = residual.norm() > LEFT_FAR.0.max(LEFT_FAR.1 * sigma);
-        is_long && is_far && (residual - self.first).norm() > LEFT_SPEED * seconds
+        let first = self.first.0 / self.first.1;
+        is_long && is_far && (self.recent - first).norm() > LEFT_SPEED * seconds
     }
 }

@@ -3,5 +3,6 @@
 mod bad_input;
 mod drives;
 mod hold;
+mod misled;
 mod replay;
 mod world;
