@@ -34,6 +34,15 @@ pub(crate) struct Belief {
     /// What the wheels report is (1 + scale) times the speed.
     pub scale: f64,
     pub covariance: Covariance,
+    /// Without an IMU, what was known of the gyro's bias: its states hold the turn rate then, see [`Belief::coast`].
+    pub coasting: Option<HeldBias>,
+}
+
+/// What is known of a gyro's bias while the gyro says nothing.
+#[derive(Clone, Debug, PartialEq)]
+pub(crate) struct HeldBias {
+    pub bias: Vector3<f64>,
+    pub covariance: Matrix3<f64>,
 }
 
 impl Belief {
@@ -48,7 +57,17 @@ impl Belief {
             wander: Vector3::zeros(),
             scale: 0.0,
             covariance: Covariance::zeros(),
+            coasting: None,
         }
+    }
+
+    /// Puts another quantity into three states from `row` on, which has nothing in common with the others.
+    pub fn replace(&mut self, row: usize, covariance: &Matrix3<f64>) -> Matrix3<f64> {
+        let before = self.covariance.fixed_view::<3, 3>(row, row).into_owned();
+        self.covariance.fixed_rows_mut::<3>(row).fill(0.0);
+        self.covariance.fixed_columns_mut::<3>(row).fill(0.0);
+        self.covariance.fixed_view_mut::<3, 3>(row, row).copy_from(covariance);
+        before
     }
 
     /// Adds an independent source of error: `column` is what one standard deviation of it does to the state.

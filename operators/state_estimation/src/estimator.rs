@@ -255,6 +255,7 @@ impl Estimator {
     /// The biases of gyro (rad/s) and accelerometer (m/s²) as estimated, in the IMU's frame.
     pub fn biases(&self) -> Option<[Vector3<f64>; 2]> {
         let belief = self.latest().belief.as_ref()?;
-        Some([belief.gyro_bias, belief.accel_bias])
+        let gyro = belief.coasting.as_ref().map_or(belief.gyro_bias, |held| held.bias);
+        Some([gyro, belief.accel_bias])
     }
 }

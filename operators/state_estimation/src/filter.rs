@@ -162,9 +162,11 @@ impl Filter {
                 time = until;
             }
         }
+        let known = self.imu.as_ref().filter(|_| self.misled.is_none());
+        let rate = known.map(|(sample, _)| sample.angular_rate);
         while time < to {
             let step = (to - time).min(COAST_STEP);
-            belief.coast(seconds(step), &rules.noise);
+            belief.coast(seconds(step), rate, &rules.imu_from_body.rotation, &rules.noise);
             time += step;
         }
     }
@@ -191,6 +193,9 @@ impl Filter {
         }
         if is_misled {
             return Err(Fault::ImuTrack);
+        }
+        if let Some(belief) = &mut self.belief {
+            belief.hear();
         }
         self.imu = Some((*sample, period));
         if gap {
@@ -227,6 +232,9 @@ impl Filter {
     /// Takes the last IMU sample as the gyro's bias, once.
     fn rest(&mut self, stamp: Nanos, rules: &Rules) -> Result<(), Fault> {
         let rate = self.rate(stamp);
+        if let Some(belief) = self.belief.as_mut().filter(|belief| belief.coasting.is_some()) {
+            return used(belief.correct(&models::standing_turn(belief)), Fault::GyroAtRest);
+        }
         let (Some(belief), Some(rate), Some((sample, period))) = (&mut self.belief, rate, &self.imu) else {
             return Ok(());
         };

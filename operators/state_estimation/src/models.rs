@@ -16,6 +16,8 @@ const SKID_BY_ACCELERATION: f64 = 0.01;
 const STANDING: f64 = 0.01;
 /// Angular rate at a standstill, rad/s: of a body with a running engine.
 const STANDING_RATE: f64 = 5e-4;
+/// The same where no gyro says it, rad/s.
+const STANDING_TURN: f64 = 0.01;
 /// Variance that takes roll and pitch of a scan out of the measurement, rad².
 const UNUSED_TILT: f64 = 100.0;
 
@@ -151,6 +153,12 @@ pub(crate) fn resting_gyro(belief: &Belief, rules: &Rules, rate: &Vector3<f64>, 
     let white = rules.noise.gyro_noise * rules.noise.gyro_noise / period;
     let noise = Matrix3::identity() * (white + STANDING_RATE * STANDING_RATE);
     Innovation::new(rate - turning - belief.gyro_bias, noise).with(GYRO_BIAS, &Matrix3::identity())
+}
+
+/// A vehicle that stands does not turn, which its states say where no gyro does.
+pub(crate) fn standing_turn(belief: &Belief) -> Innovation<3> {
+    let noise = Matrix3::identity() * (STANDING_TURN * STANDING_TURN);
+    Innovation::new(-belief.gyro_bias, noise).with(GYRO_BIAS, &Matrix3::identity())
 }
 
 /// A scan's pose against a belief: six numbers, in the order of its covariance.

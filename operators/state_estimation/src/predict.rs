@@ -1,15 +1,20 @@
 //! How a belief moves on in time: strapdown integration of the IMU, or nothing but inertia.
 
-use nalgebra::{Matrix3, Vector3};
+use nalgebra::{Matrix3, UnitQuaternion, Vector3};
 
 use crate::belief::turned;
-use crate::belief::{ACCEL_BIAS, ATTITUDE, Belief, Covariance, GYRO_BIAS, POSITION, SCALE, VELOCITY, WANDER};
+use crate::belief::{
+    ACCEL_BIAS, ATTITUDE, Belief, Covariance, GYRO_BIAS, HeldBias, POSITION, SCALE, VELOCITY, WANDER, quaternion_of,
+};
 use crate::{Earth, UnitNoise};
 
 /// Accelerations of a vehicle whose IMU is silent, as white noise, m/s²/√Hz.
 const COAST_ACCELERATION: f64 = 3.0;
-/// Angular rates of such a vehicle, rad/s/√Hz.
-const COAST_RATE: f64 = 0.3;
+/// Angular rates of such a vehicle about its axes, rad/s, and how long it turns the same way, s: bends of a quarter in 4 s are usual.
+const COAST_RATE: [f64; 3] = [0.05, 0.05, 0.4];
+const COAST_TURNING_S: f64 = 4.0;
+/// What is not of one bend, as white noise, rad/s/√Hz.
+const COAST_SWAY: f64 = 0.02;
 /// Time over which a vehicle turns the same way, s: so long an error of the gyro's scale adds up.
 const TURNING_S: f64 = 4.0;
 /// How the wheels' scale walks, 1/√s.
@@ -29,6 +34,7 @@ pub(crate) struct Increment {
 impl Belief {
     /// Moves on by `dt` seconds with what the IMU integrated over them.
     pub fn strapdown(&mut self, increment: &Increment, dt: f64, noise: &UnitNoise, earth: &Earth) {
+        self.hear();
         let imu_from_map = self.map_from_imu.inverse();
         let turn = increment.turn - self.gyro_bias * dt - imu_from_map * (earth.rate * dt);
         let push = increment.push - self.accel_bias * dt;
@@ -65,11 +71,59 @@ impl Belief {
         }
     }
 
-    /// Moves on by `dt` seconds without an IMU: as fast as before, with what a vehicle may do in them as noise.
-    pub fn coast(&mut self, dt: f64, noise: &UnitNoise) {
-        self.position += self.velocity * dt;
-        let step = self.still(dt);
-        self.carry(&step, dt, [COAST_ACCELERATION, COAST_RATE], noise);
+    /// Moves on by `dt` seconds without an IMU: as fast as before, and round a bend that nobody measures. Its rate takes the states of the
+    /// gyro's bias as a process of first order (their negative is the rate), so that positions and wheels show it, and it turns heading and
+    /// velocity alike. `rate`: the last one that the IMU measured, rad/s.
+    pub fn coast(
+        &mut self,
+        dt: f64,
+        rate: Option<Vector3<f64>>,
+        imu_from_body: &UnitQuaternion<f64>,
+        noise: &UnitNoise,
+    ) {
+        let axes = imu_from_body.to_rotation_matrix().into_inner();
+        let rates =
+            axes * Matrix3::from_diagonal(&Vector3::from(COAST_RATE).map(|rate| rate * rate)) * axes.transpose();
+        if self.coasting.is_none() {
+            let bias = self.gyro_bias;
+            let covariance = self.replace(GYRO_BIAS, &rates);
+            self.coasting = Some(HeldBias { bias, covariance });
+            self.gyro_bias = rate.map_or_else(Vector3::zeros, |rate| bias - rate);
+        }
+        let turn = -self.gyro_bias * dt;
+        let rotation = self.map_from_imu.to_rotation_matrix().into_inner();
+        let bend = UnitQuaternion::new_normalize(quaternion_of(&(rotation * turn)));
+        let (before, after) = (self.velocity, bend * self.velocity);
+        self.position += (before + after) * (0.5 * dt);
+        self.velocity = after;
+        self.map_from_imu = turned(&self.map_from_imu, &turn);
+
+        let keep = libm::exp(-dt / COAST_TURNING_S);
+        self.gyro_bias *= keep;
+        let mut step = self.still(dt);
+        let by_rate = before.cross_matrix() * rotation * dt;
+        set(&mut step, VELOCITY, VELOCITY, bend.to_rotation_matrix().matrix());
+        set(&mut step, VELOCITY, GYRO_BIAS, &by_rate);
+        set(&mut step, POSITION, GYRO_BIAS, &(by_rate * (0.5 * dt)));
+        let back = UnitQuaternion::new_normalize(quaternion_of(&-turn));
+        set(&mut step, ATTITUDE, ATTITUDE, back.to_rotation_matrix().matrix());
+        set(&mut step, ATTITUDE, GYRO_BIAS, &(Matrix3::identity() * -dt));
+        set(&mut step, GYRO_BIAS, GYRO_BIAS, &(Matrix3::identity() * keep));
+        self.carry(&step, dt, [COAST_ACCELERATION, COAST_SWAY], noise);
+        let mut block = self.covariance.fixed_view_mut::<3, 3>(GYRO_BIAS, GYRO_BIAS);
+        block += rates * (1.0 - keep * keep);
+        if let Some(held) = &mut self.coasting {
+            let walked = noise.gyro_bias_in_run * noise.gyro_bias_in_run * 2.0 / noise.bias_s * dt;
+            held.covariance += Matrix3::identity() * walked;
+        }
+    }
+
+    /// The IMU measures again: the states of the gyro's bias are its own.
+    pub fn hear(&mut self) {
+        if let Some(HeldBias { bias, covariance }) = self.coasting.take() {
+            self.gyro_bias = bias;
+            self.replace(GYRO_BIAS, &covariance);
+        }
     }
 
     /// How errors grow by the velocity alone.
@@ -206,6 +260,53 @@ mod tests {
             gyro_scale: 0.0,
             ..*noise
         }
+    }
+
+    /// Without an IMU through a bend at one rate: heading, velocity and place are off by what the covariance says, all of the same bend.
+    #[test]
+    fn a_bend_that_nobody_measures_is_within_what_is_said() {
+        let noise = Unit::Tactical.noise();
+        let (rate, speed) = (0.39, 8.0);
+        for seconds in [0.5, 1.0, 2.0, 4.0] {
+            let mut moving = belief();
+            for _ in 0..(seconds / 0.05) as u32 {
+                moving.coast(0.05, None, &UnitQuaternion::identity(), &noise);
+            }
+            let turn: f64 = rate * seconds;
+            let deviation = |state: usize| moving.covariance[(state, state)].sqrt();
+            assert!(
+                turn < 1.1 * deviation(ATTITUDE + 2),
+                "{seconds} s: {}",
+                deviation(ATTITUDE + 2)
+            );
+            assert!(speed * turn.sin() < 1.3 * deviation(VELOCITY + 1), "{seconds} s");
+            let aside = speed / rate * (1.0 - turn.cos());
+            assert!(aside < 1.3 * deviation(POSITION + 1), "{seconds} s: {aside}");
+            // A heading that is off goes with a velocity that is turned as far.
+            let both =
+                moving.covariance[(ATTITUDE + 2, VELOCITY + 1)] / deviation(ATTITUDE + 2) / deviation(VELOCITY + 1);
+            assert!(both > if seconds < 1.0 { 0.3 } else { 0.6 }, "{seconds} s: {both}");
+        }
+    }
+
+    /// The last rate is the best guess of the next; then the bias is what it was.
+    #[test]
+    fn the_last_rate_goes_on_and_the_bias_comes_back() {
+        let noise = Unit::Tactical.noise();
+        let mut moving = belief();
+        moving.gyro_bias = Vector3::new(0.0, 0.0, 0.01);
+        let before = moving.clone();
+        for _ in 0..4 {
+            moving.coast(0.05, Some(Vector3::z() * 0.31), &UnitQuaternion::identity(), &noise);
+        }
+        let heading = vector_of(&moving.map_from_imu).z;
+        assert!((0.055..0.06).contains(&heading), "{heading}");
+        assert!((moving.velocity.y / moving.velocity.x - heading.tan()).abs() < 1e-9);
+        moving.hear();
+        assert_eq!((moving.gyro_bias, moving.coasting.is_none()), (before.gyro_bias, true));
+        let variance = |belief: &Belief| belief.covariance[(GYRO_BIAS + 2, GYRO_BIAS + 2)];
+        assert!((variance(&moving) / variance(&before) - 1.0).abs() < 1e-3);
+        assert!(moving.is_sound() && moving.covariance.cholesky().is_some());
     }
 
     #[test]
