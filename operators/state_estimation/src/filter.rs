@@ -9,6 +9,7 @@ use crate::correct::Outcome;
 use crate::fault::{Fault, Faults};
 use crate::imu::{ImuMonitor, Stuck, between, held};
 use crate::models::{self, LocalFix, LocalScan};
+use crate::rolling::Rolling;
 use crate::rules::{Checked, Rules};
 use crate::source::{Source, conflict};
 use crate::start::Start;
@@ -32,12 +33,15 @@ const RECENT: Nanos = 1_000_000_000;
 
 /// An IMU without a usable sample for so long is silent, ns.
 const SILENT: Nanos = 1_000_000_000;
-/// A gyro that scans contradict is not used for so long, ns.
+/// A gyro, or wheels, that scans contradict are not used for so long, ns.
 const MISLED: Nanos = 20_000_000_000;
 /// Where the gyro was wrong, the estimate is taken for so much more than the scan's distance from it: m, and rad of tilt and heading.
 const LED: [f64; 3] = [0.5, 0.03, 0.1];
 /// Scans that are turned against the estimate, rad, so many in a row.
 const TURNED: (f64, u32) = (0.05, 3);
+/// Scans that are so far from the estimate, m, that many in a row; so many before follow each other.
+const AWAY: f64 = 1.0;
+const FOLLOWING: u32 = 5;
 /// The last of them no longer ago, ns.
 const TURNED_SINCE: Nanos = 500_000_000;
 
@@ -70,8 +74,13 @@ pub(crate) struct Filter {
     heard: Option<Nanos>,
     /// When scans last contradicted the gyro.
     misled: Option<Nanos>,
+    rolling: Rolling,
+    /// When scans last contradicted the wheels.
+    slipped: Option<Nanos>,
     /// Scans in a row that were refused for their heading, and the last of them.
     turned: (u32, Nanos),
+    /// The same for their place.
+    away: (u32, Nanos),
     last_fix: Option<(Nanos, Vector3<f64>)>,
     /// Since when the wheels stand.
     resting: Option<Nanos>,
@@ -108,7 +117,10 @@ impl Filter {
             imu: None,
             heard: None,
             misled: None,
+            rolling: Rolling::default(),
+            slipped: None,
             turned: (0, 0),
+            away: (0, 0),
             last_fix: None,
             resting: None,
             rested: None,
@@ -206,8 +218,12 @@ impl Filter {
 
     fn take_wheel(&mut self, stamp: Nanos, speed: f64, rules: &Rules) -> Result<(), Fault> {
         self.advance(stamp, None, rules);
-        self.agreement.wheel(stamp, speed);
         self.track.wheel(stamp, speed);
+        self.rolling.wheel(stamp, speed);
+        if self.slipped.is_some_and(|at| stamp - at <= MISLED) {
+            return Err(Fault::WheelTrack);
+        }
+        self.agreement.wheel(stamp, speed);
         let rate = self.rate(stamp);
         let Some(belief) = &mut self.belief else {
             self.start.wheel(stamp, speed);
@@ -328,7 +344,13 @@ impl Filter {
     pub fn is_astray(&self, stamp: Nanos) -> bool {
         let left = self.left.is_some_and(|left| stamp - left <= DISTRUST);
         let is_left = left && self.track.is_contradicted(stamp) && !self.scans.is_used(stamp, RECENT);
-        is_left || self.is_turned(stamp)
+        is_left || self.is_turned(stamp) || self.is_away(stamp)
+    }
+
+    /// Whether scans that follow each other as the gyro turns contradict the place.
+    fn is_away(&self, stamp: Nanos) -> bool {
+        let (count, last) = self.away;
+        count >= TURNED.1 && stamp - last <= TURNED_SINCE && self.rolling.scans() >= FOLLOWING
     }
 
     /// Whether scans that follow each other as the wheels roll contradict the heading.
@@ -352,6 +374,12 @@ impl Filter {
 
     fn take_scan(&mut self, stamp: Nanos, scan: &LocalScan, rules: &Rules) -> Result<(), Fault> {
         self.advance(stamp, None, rules);
+        self.agreement.odometer.advance(stamp);
+        if self.rolling.scan(stamp, scan, self.agreement.odometer.heading, rules) {
+            self.give_wheels_up(stamp);
+        } else if self.rolling.is_right() {
+            self.slipped = None;
+        }
         self.agreement.scan(stamp, scan, rules);
         let mut taken = self.correct_by_scan(stamp, scan, rules);
         if self.agreement.course.is_gyro_wrong() {
@@ -372,6 +400,15 @@ impl Filter {
         }
     }
 
+    /// Goes on without wheels. What they led astray begins anew.
+    fn give_wheels_up(&mut self, stamp: Nanos) {
+        let are_used = self.slipped.replace(stamp).is_none_or(|at| stamp - at > MISLED);
+        if are_used {
+            self.restart(Fault::WheelTrack, stamp);
+            self.agreement.odometer.speed = None;
+        }
+    }
+
     fn correct_by_scan(&mut self, stamp: Nanos, scan: &LocalScan, rules: &Rules) -> Result<(), Fault> {
         let Some(belief) = &mut self.belief else {
             let begun = self.start.take_scan(stamp, scan, rules)?;
@@ -383,12 +420,10 @@ impl Filter {
         let turned = innovation.residual[5].abs();
         let outcome = belief.correct(&innovation);
         self.scans.note(outcome, stamp, residual);
-        let is_turned = outcome == Outcome::Gated && turned > TURNED.0;
-        self.turned = if is_turned {
-            (self.turned.0.saturating_add(1), stamp)
-        } else {
-            (0, stamp)
-        };
+        let is_gated = outcome == Outcome::Gated;
+        let counted = |before: u32, is: bool| (if is { before.saturating_add(1) } else { 0 }, stamp);
+        self.turned = counted(self.turned.0, is_gated && turned > TURNED.0);
+        self.away = counted(self.away.0, is_gated && residual.xy().norm() > AWAY);
         used(outcome, Fault::ScanGate)
     }
 
@@ -425,7 +460,7 @@ impl Filter {
     fn begin(&mut self, belief: Option<Belief>, stamp: Nanos, source: impl Fn(&mut Filter) -> &mut Source) {
         if let Some(belief) = belief {
             self.belief = Some(belief);
-            self.turned = (0, stamp);
+            (self.turned, self.away) = ((0, stamp), (0, stamp));
             self.start = Start::default();
             source(self).note(Outcome::Used, stamp, Vector3::zeros());
         }
@@ -441,7 +476,7 @@ impl Filter {
         self.resting = None;
         self.leaving = None;
         self.witness = Witness::default();
-        self.turned = (0, stamp);
+        (self.turned, self.away) = ((0, stamp), (0, stamp));
     }
 }
 

@@ -42,6 +42,7 @@ mod measured;
 mod models;
 mod predict;
 mod reckoning;
+mod rolling;
 mod rules;
 mod sample;
 mod settings;
