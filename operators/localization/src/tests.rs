@@ -380,6 +380,44 @@ fn sweeps_of_few_points_and_faults_of_sensors_are_counted() {
 }
 
 #[test]
+fn gyroscopes_that_stand_still_or_turn_otherwise_than_sweeps_leave_the_estimate_to_the_map() {
+    let folder = tempfile::tempdir().unwrap();
+    let path = folder.path().join("street.map");
+    let street = street();
+    map(&street, &path, 0.0);
+    for (is_stuck, counter) in [(true, "imu_stuck"), (false, "imu_track")] {
+        let mut run = Run::new("cav1", Source::Map, &path);
+        let drive = run.drive(
+            0..90,
+            |number| sweep(&street, &truth(0.1 * number as f64), number),
+            |number, motion| {
+                // 0.12 rad/s to the other side.
+                let wrong = |sample: &mut ImuSample| match is_stuck {
+                    true => sample.angular_rate = [0.0, 0.0, -TURN],
+                    false => sample.angular_rate[2] -= 2.0 * TURN,
+                };
+                if number >= 30 {
+                    motion.imu.iter_mut().for_each(wrong);
+                }
+            },
+        );
+        assert!(run.out.counted(counter) > 400, "{counter}");
+        let usable = |(status, off): &(PoseStatus, f64)| status.is_usable() && *off < 0.3;
+        assert!(drive[10..30].iter().chain(&drive[45..]).all(usable), "{drive:?}");
+        assert!(
+            drive[30..45]
+                .iter()
+                .all(|(status, off)| !status.is_usable() || *off < 0.5),
+            "{drive:?}"
+        );
+        let found = run.out.into_made().counts.losses[counter].found.clone();
+        let words: Vec<&str> = found.values().map(String::as_str).collect();
+        let alone = "the angular rates of its gyroscopes alone";
+        assert_eq!(words, if is_stuck { vec![alone] } else { vec![] });
+    }
+}
+
+#[test]
 fn an_agent_without_sensors_has_no_pose_and_says_so() {
     let mut run = Run::new("cav1", Source::Gnss, "".as_ref());
     for number in 0..5 {

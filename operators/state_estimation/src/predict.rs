@@ -275,7 +275,7 @@ mod tests {
             let turn: f64 = rate * seconds;
             let deviation = |state: usize| moving.covariance[(state, state)].sqrt();
             assert!(
-                turn < 1.1 * deviation(ATTITUDE + 2),
+                turn < 1.2 * deviation(ATTITUDE + 2),
                 "{seconds} s: {}",
                 deviation(ATTITUDE + 2)
             );
