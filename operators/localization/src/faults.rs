@@ -172,7 +172,7 @@ const FAULTS: [Counter; Fault::ALL.len()] = [
         "heights of GNSS were not used, because they are farther off than chance allows",
         "are they over the ellipsoid, as `map_origin` is?",
     ),
-    fault(
+    certain(
         "gnss_conflict",
         "estimates that were given up, because GNSS contradicted them for long, or for as long as it had supported them",
         "estimates were given up, because GNSS contradicted them for long, or for as long as it had supported them",
