@@ -347,10 +347,13 @@ impl Filter {
         is_left || self.is_turned(stamp) || self.is_away(stamp)
     }
 
-    /// Whether scans that follow each other as the gyro turns contradict the place.
+    /// Whether scans that follow each other as the gyro turns contradict the place, and no fix supports it.
     fn is_away(&self, stamp: Nanos) -> bool {
         let (count, last) = self.away;
-        count >= TURNED.1 && stamp - last <= TURNED_SINCE && self.rolling.scans() >= FOLLOWING
+        !self.fixes.supports(stamp, RECENT)
+            && count >= TURNED.1
+            && stamp - last <= TURNED_SINCE
+            && self.rolling.scans() >= FOLLOWING
     }
 
     /// Whether scans that follow each other as the wheels roll contradict the heading.
@@ -400,12 +403,16 @@ impl Filter {
         }
     }
 
-    /// Goes on without wheels. What they led astray begins anew.
+    /// Goes on without wheels. What they led astray, so that scans are refused, begins anew.
     fn give_wheels_up(&mut self, stamp: Nanos) {
         let are_used = self.slipped.replace(stamp).is_none_or(|at| stamp - at > MISLED);
         if are_used {
-            self.restart(Fault::WheelTrack, stamp);
+            self.faults.note(Fault::WheelTrack, stamp);
             self.agreement.odometer.speed = None;
+            self.resting = None;
+        }
+        if are_used && !self.scans.is_used(stamp, RECENT) {
+            self.restart(Fault::ScanConflict, stamp);
         }
     }
 

@@ -51,6 +51,11 @@ impl Source {
         self.used.is_some_and(|used| now - used <= span)
     }
 
+    /// Whether the last sample was used, in the last `span` ns.
+    pub fn supports(&self, now: Nanos, span: Nanos) -> bool {
+        self.refusals.is_none() && self.is_used(now, span)
+    }
+
     /// How far off samples are that were refused all through the last `span` ns, m; `None` where one was used.
     pub fn off(&self, now: Nanos, span: Nanos) -> Option<f64> {
         let residual = self.refusals.as_ref()?.residual.xy().norm();
