@@ -80,13 +80,8 @@ fn copy(from: &Path, to: &Path, entry: &Value) {
     write(&labels, list.to_string().as_bytes());
 }
 
-#[test]
-fn recorded_clouds_poses_and_labels_are_where_they_are_in_the_world() {
-    let Some(sample) = skipped::shared("data/dair") else {
-        return;
-    };
-    let dir = tempfile::tempdir().unwrap();
-    let (data, out) = (dir.path().join("data"), dir.path().join("out.mcap"));
+/// Lists the pairs as a sequence below `data`; the places of their cooperative labels in the world, by frames.
+fn make(sample: &Path, data: &Path) -> Vec<(String, Vec<Point3<f64>>)> {
     let [pairs, vehicles, roadsides] = LISTS.map(|list| json_of(&sample.join(list)));
     let (mut lists, mut expected) = ([vec![], vec![], vec![]], Vec::new());
     for pair in pairs.as_array().unwrap() {
@@ -127,8 +122,19 @@ fn recorded_clouds_poses_and_labels_are_where_they_are_in_the_world() {
     for (name, list) in LISTS.iter().zip(&lists) {
         write(&data.join(name), json!(list).to_string().as_bytes());
     }
-    let summary = import("v2x-seq", &data, &out, &[]).unwrap().remove(0);
     expected.sort_by(|a, b| a.0.cmp(&b.0));
+    expected
+}
+
+#[test]
+fn recorded_clouds_poses_and_labels_are_where_they_are_in_the_world() {
+    let Some(sample) = skipped::shared("data/dair") else {
+        return;
+    };
+    let dir = tempfile::tempdir().unwrap();
+    let (data, out) = (dir.path().join("data"), dir.path().join("out.mcap"));
+    let expected = make(&sample, &data);
+    let summary = import("v2x-seq", &data, &out, &[]).unwrap().remove(0);
     let labels: usize = expected.iter().map(|(_, places)| places.len()).sum();
     assert_eq!((summary.frames, summary.truth_boxes), (6, labels), "{summary}");
     // As they are known of the data set, by another way.
