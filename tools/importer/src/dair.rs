@@ -9,8 +9,9 @@
 //! views are pinholes. The vehicle's calibration does not say the size of the image; all images are 1920 × 1080.
 
 mod index;
-mod labels;
-mod poses;
+pub(crate) mod labels;
+pub(crate) mod lists;
+pub(crate) mod poses;
 mod reading;
 mod summary;
 
@@ -20,7 +21,7 @@ use std::path::Path;
 use realo_logs::{AgentInfo, AgentKind, Levelled, LogInfo, LogWriter};
 use realo_schemas::{Boxes, Nanos};
 
-use self::index::Frame;
+use self::lists::Frame;
 use self::reading::{Checked, Pair, Reader, Sweep};
 pub use self::summary::Summary;
 use crate::ImportError;
@@ -43,7 +44,7 @@ pub fn lidar_height(agent: &str) -> f64 {
 const FOOTPRINT: [f64; 4] = [-2.3, 2.3, -0.95, 0.95];
 
 /// Duration of a vehicle's sweep (10.00 Hz; its stamp is the start).
-const VEHICLE_SWEEP: Nanos = 100_000_000;
+pub(crate) const VEHICLE_SWEEP: Nanos = 100_000_000;
 /// Duration of a roadside sweep (about 10.4 Hz).
 const ROADSIDE_SWEEP: Nanos = 96_000_000;
 
@@ -64,6 +65,22 @@ impl RoadsideStamp {
     /// All, with their names and what they mean.
     pub const ALL: &[(RoadsideStamp, &str, &str)] =
         &[(RoadsideStamp::Start, "start", ""), (RoadsideStamp::End, "end", "")];
+
+    /// How long after its stamp a roadside sweep is ready, ns.
+    pub(crate) fn to_ready(self) -> Nanos {
+        match self {
+            RoadsideStamp::Start => ROADSIDE_SWEEP,
+            RoadsideStamp::End => 0,
+        }
+    }
+
+    /// `start` or `end`.
+    pub(crate) fn as_str(self) -> &'static str {
+        match self {
+            RoadsideStamp::Start => "start",
+            RoadsideStamp::End => "end",
+        }
+    }
 }
 
 /// How DAIR is imported.
@@ -118,10 +135,7 @@ pub fn dair_with(
             some: !checked.pairs.is_empty(),
         });
     }
-    let roadside_sweep = match options.roadside_stamp {
-        RoadsideStamp::Start => ROADSIDE_SWEEP,
-        RoadsideStamp::End => 0,
-    };
+    let roadside_sweep = options.roadside_stamp.to_ready();
     let Checked {
         pairs,
         incomplete,
@@ -154,10 +168,7 @@ pub fn dair_with(
 
 /// What the log says of itself.
 fn info(pairs: &[Pair], options: DairOptions, roadside_sweep: Nanos) -> LogInfo {
-    let stamp = match options.roadside_stamp {
-        RoadsideStamp::Start => "start",
-        RoadsideStamp::End => "end",
-    };
+    let stamp = options.roadside_stamp.as_str();
     let mut info = LogInfo::new(
         format!("DAIR-V2X-C, roadside stamps taken as the {stamp} of a sweep"),
         vec![

@@ -25,12 +25,14 @@ pub enum ImportError {
     },
     /// Lists of a data set that cannot be read, all of them.
     #[error(
-        "`{}`: its lists cannot be read:\n{reasons}\nmend them, and see whether DIR is `cooperative-vehicle-infrastructure`",
+        "`{}`: its lists cannot be read:\n{reasons}\nmend them, and see whether DIR is `{root}`",
         .path.display()
     )]
     Lists {
         /// The data set.
         path: PathBuf,
+        /// What its folder is called.
+        root: &'static str,
         /// A line each.
         reasons: String,
     },

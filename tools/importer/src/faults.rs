@@ -61,7 +61,7 @@ impl FaultsOfSweep {
 }
 
 /// All that is missing or damaged in a data set.
-#[derive(Default)]
+#[derive(Clone, Default)]
 pub struct Faults {
     /// Names by cause, each once.
     pub by_cause: BTreeMap<String, Vec<String>>,
@@ -74,6 +74,13 @@ impl Faults {
         let (cause, name) = (cause.into(), name.into());
         if self.seen.insert((cause.clone(), name.clone())) {
             self.by_cause.entry(cause).or_default().push(name);
+        }
+    }
+
+    /// Adds all of others.
+    pub fn append(&mut self, others: Faults) {
+        for (cause, names) in others.by_cause {
+            names.into_iter().for_each(|name| self.add(cause.as_str(), name));
         }
     }
 

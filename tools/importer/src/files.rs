@@ -90,3 +90,18 @@ pub fn number<'de, D: Deserializer<'de>>(deserializer: D) -> Result<f64, D::Erro
             .map_err(|_| D::Error::custom(format!("expected a number, found `{text}`"))),
     }
 }
+
+/// A text, also one written as a whole number.
+pub fn text<'de, D: Deserializer<'de>>(deserializer: D) -> Result<String, D::Error> {
+    #[derive(Deserialize)]
+    #[serde(untagged)]
+    enum Written {
+        Text(String),
+        Number(i64),
+    }
+    match Written::deserialize(deserializer) {
+        Ok(Written::Text(text)) => Ok(text),
+        Ok(Written::Number(number)) => Ok(number.to_string()),
+        Err(_) => Err(D::Error::custom("expected a text or a whole number")),
+    }
+}

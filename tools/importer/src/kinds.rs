@@ -14,6 +14,7 @@ mod tumtraf;
 mod urbaning;
 mod v2v4real;
 mod v2x_real;
+mod v2x_seq;
 
 use std::path::Path;
 
@@ -120,6 +121,7 @@ pub static KINDS: &[&dyn Importer] = &[
     &v2x_real::V2X_REAL,
     &v2v4real::V2V4REAL,
     &cooperscene::CooperScene,
+    &v2x_seq::V2xSeq,
     &tumtraf::TumTraf,
     &urbaning::Urbaning,
     &kitti::Kitti,

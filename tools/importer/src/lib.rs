@@ -1,7 +1,7 @@
 //! Brings recorded datasets into logs.
 //!
 //! [`KINDS`] has the kinds of data sets, each behind the trait [`Importer`]; [`look_at`] says which of them a folder is. DAIR-V2X-C
-//! ([`dair`]) are pairs of a vehicle's and a roadside unit's LiDAR sweeps with labels. The others are scenes of agents with a cloud
+//! ([`dair`]) are pairs of a vehicle's and a roadside unit's LiDAR sweeps with labels; V2X-Seq-SPD has sequences of such. The others are scenes of agents with a cloud
 //! and labels for each frame. Bags of ROS are recordings of topics, and a map file says whose they are. [`relevel`] makes the body frames of a log level that are not.
 
 mod bag;

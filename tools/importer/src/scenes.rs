@@ -29,6 +29,7 @@ pub use self::name::agent_name;
 pub use self::plan::{Work, plan};
 pub use self::residual::{Fit, Placed, Residual, residual};
 pub use self::summary::{AgentSummary, SceneSummary};
+use crate::dair::lists::{Frame, FrameId};
 use crate::faults::{Faults, FaultsOfSweep};
 use crate::options::BoxPlace;
 use crate::pcd::Points;
@@ -44,6 +45,25 @@ pub struct Scene {
     pub unwanted: Vec<String>,
     /// What is assumed of this scene alone, a line each.
     pub assumed: Vec<String>,
+    /// Frames that it lacks because of what is wrong with lists.
+    pub lost: Lost,
+}
+
+/// Frames that lists name, and that cannot be found by them.
+#[derive(Clone, Default)]
+pub struct Lost {
+    /// How many.
+    pub frames: usize,
+    /// Why.
+    pub faults: Faults,
+}
+
+impl Lost {
+    /// Adds a frame.
+    pub fn add(&mut self, cause: String, name: String) {
+        self.frames += 1;
+        self.faults.add(cause, name);
+    }
 }
 
 /// An agent of a scene.
@@ -77,6 +97,22 @@ pub struct SweepFiles {
     pub more: Vec<FurtherCloud>,
     /// Labels of the whole scene, where one file has them.
     pub shared: Option<Arc<dyn SharedLabels>>,
+    /// The pair of sweeps that it is of, where the layout has such.
+    pub pair: Option<Arc<SweepPair>>,
+    /// Where in their file the labels are, in words; empty where it has nothing else.
+    pub labels_in: &'static str,
+}
+
+/// Sweeps of a vehicle and a roadside unit that were labelled together.
+pub struct SweepPair {
+    /// The vehicle's sweep, with the name of its frame.
+    pub vehicle: (FrameId, Frame),
+    /// The roadside unit's.
+    pub roadside: (FrameId, Frame),
+    /// What both sides labelled together.
+    pub labels: PathBuf,
+    /// Added to the roadside unit's position in the map, m.
+    pub offset: [f64; 2],
 }
 
 /// A cloud of a further LiDAR of an agent, for the sweep of its first.
@@ -117,6 +153,29 @@ pub struct RawSweep {
     pub view: Option<View>,
     /// Whether the files say that the frame is not scored.
     pub is_unscored: bool,
+    /// What the agent is scored against.
+    pub truth: TruthOf,
+    /// What is strange in its files, and taken: causes with names.
+    pub noted: Vec<(&'static str, String)>,
+}
+
+/// What an agent is scored against at a sweep.
+#[derive(Default)]
+pub enum TruthOf {
+    /// The labels of all agents together.
+    #[default]
+    AllAgents,
+    /// Labels that a file has of all agents together.
+    Given {
+        /// The labels.
+        labels: Vec<Label>,
+        /// Labels without a size.
+        dropped: usize,
+        /// Where the labels could be, in the frame of the LiDAR; without any: everywhere.
+        views: Vec<View>,
+    },
+    /// Nothing: files have such labels at the sweeps of another agent.
+    Nothing,
 }
 
 /// What files of a sweep say that most layouts leave open: it counts before what is assumed.
@@ -156,6 +215,22 @@ pub struct Found {
     pub scenes: Vec<Scene>,
     /// What is missing besides files of sweeps.
     pub faults: Faults,
+    /// Frames that no scene has because of that.
+    pub lost: usize,
+    /// Whether such frames may be of any scene, so that none of them is known to be whole.
+    pub is_unclear: bool,
+    /// What is there, and in no scene.
+    pub unneeded: Faults,
+}
+
+/// When sweeps are ready.
+pub struct Readiness {
+    /// So long after its stamp a vehicle's, ns.
+    pub vehicle: Nanos,
+    /// And a roadside unit's.
+    pub roadside: Nanos,
+    /// In words, with options.
+    pub words: String,
 }
 
 /// How a data set is laid out.
@@ -174,6 +249,21 @@ pub trait Layout: Sync {
     /// # Errors
     /// All that is wrong with its files.
     fn sweep(&self, files: &SweepFiles, options: &Options) -> Result<RawSweep, FaultsOfSweep>;
+
+    /// When sweeps are ready, where `--stamp` and `--rate` do not say it.
+    fn readiness(&self, _: &Options) -> Option<Readiness> {
+        None
+    }
+
+    /// The protocol of its logs, where it has one of its own.
+    fn protocol(&self) -> Option<&'static str> {
+        None
+    }
+
+    /// Whether the labels of a side are its recorded detections, too.
+    fn labels_are_detections(&self) -> bool {
+        false
+    }
 
     /// A file beside the labels of an agent that may have all its poses.
     fn pose_file(&self) -> Option<&'static str> {

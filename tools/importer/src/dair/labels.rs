@@ -64,14 +64,10 @@ pub struct Labels {
 pub fn side_labels(path: &Path) -> Result<Labels, ImportError> {
     let mut labels = Labels::default();
     for (index, label) in read_json::<Vec<SideLabel>>(path)?.into_iter().enumerate() {
-        if label.size.is_placeholder() {
-            labels.placeholders += 1;
-            continue;
+        match label.to_box(path, index)? {
+            Some(in_lidar) => labels.boxes.push(in_lidar),
+            None => labels.placeholders += 1,
         }
-        let Location { x, y, z } = label.location;
-        let in_lidar = label.size.to_box([x, y, z], label.rotation, &label.class);
-        let in_lidar = label_box(in_lidar).map_err(|found| not_a_label(path, index, &found))?;
-        labels.boxes.push(in_lidar);
     }
     Ok(labels)
 }
@@ -131,16 +127,34 @@ impl WorldLabels {
     }
 }
 
+/// A label in the frame of a LiDAR, as a file has it.
 #[derive(Deserialize)]
-struct SideLabel {
+pub struct SideLabel {
+    /// Its class.
     #[serde(rename = "type")]
-    class: String,
+    pub class: String,
     #[serde(rename = "3d_dimensions")]
     size: Size,
     #[serde(rename = "3d_location")]
     location: Location,
     #[serde(deserialize_with = "number")]
     rotation: f64,
+}
+
+impl SideLabel {
+    /// Its box, the label being `index` of those of the file `path`; `None` of a placeholder.
+    ///
+    /// # Errors
+    /// Numbers that cannot be those of a box.
+    pub fn to_box(&self, path: &Path, index: usize) -> Result<Option<Box3>, ImportError> {
+        if self.size.is_placeholder() {
+            return Ok(None);
+        }
+        let Location { x, y, z } = self.location;
+        let in_lidar = self.size.to_box([x, y, z], self.rotation, &self.class);
+        let in_lidar = label_box(in_lidar).map_err(|found| not_a_label(path, index, &found))?;
+        Ok(Some(in_lidar))
+    }
 }
 
 #[derive(Deserialize)]

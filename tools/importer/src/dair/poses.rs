@@ -5,6 +5,7 @@ use std::path::{Path, PathBuf};
 use nalgebra::{Isometry3, Matrix3, Translation3, UnitQuaternion, Vector3};
 use realo_schemas::geometry::{View, tilt_degrees};
 use serde::Deserialize;
+use serde_json::Value;
 
 use crate::ImportError;
 use crate::files::read_json;
@@ -26,7 +27,8 @@ fn compose((r1, t1): &Parts, (r2, t2): &Parts) -> Parts {
 const SKEWED: f64 = 0.5;
 
 /// A calibration from a file, whose rotation is one but for so much.
-fn calibration(path: &Path, transform: &Transform, skew: f64) -> Result<Parts, ImportError> {
+fn calibration(path: &Path, skew: f64) -> Result<Parts, ImportError> {
+    let transform = Transform::read(path)?;
     let (rotation, translation) = transform.parts();
     if !is_rotation(&rotation, skew) {
         let reason = format!(
@@ -65,14 +67,14 @@ fn isometry((rotation, translation): &Parts) -> Isometry3<f64> {
 
 /// Map from the vehicle's LiDAR: from its LiDAR to its receiver, and from there to the world.
 pub fn vehicle_pose(mounting: &Path, place: &Path) -> Result<Isometry3<f64>, ImportError> {
-    let novatel_from_lidar = calibration(mounting, &read_json::<LidarToNovatel>(mounting)?.transform, ORTHONORMAL)?;
-    let world_from_novatel = calibration(place, &read_json(place)?, ORTHONORMAL)?;
+    let novatel_from_lidar = calibration(mounting, ORTHONORMAL)?;
+    let world_from_novatel = calibration(place, ORTHONORMAL)?;
     pose_of_lidar(place, &compose(&world_from_novatel, &novatel_from_lidar))
 }
 
 /// Map from the roadside unit's LiDAR, the offset added in the world, m.
 pub fn roadside_pose(path: &Path, [dx, dy]: [f64; 2]) -> Result<Isometry3<f64>, ImportError> {
-    let mut map_from_lidar = pose_of_lidar(path, &calibration(path, &read_json(path)?, ORTHONORMAL)?)?;
+    let mut map_from_lidar = pose_of_lidar(path, &calibration(path, ORTHONORMAL)?)?;
     map_from_lidar.translation.vector += Vector3::new(dx, dy, 0.0);
     Ok(map_from_lidar)
 }
@@ -88,7 +90,7 @@ impl Camera {
     /// Reads the calibrations of where it lies to the LiDAR, and of its image.
     pub fn read(extrinsic: &Path, intrinsic: &Path) -> Result<Self, ImportError> {
         Ok(Camera {
-            camera_from_lidar: isometry(&calibration(extrinsic, &read_json(extrinsic)?, SKEWED)?),
+            camera_from_lidar: isometry(&calibration(extrinsic, SKEWED)?),
             intrinsic: read_json(intrinsic)?,
             path: intrinsic.into(),
         })
@@ -119,17 +121,19 @@ impl Camera {
 }
 
 #[derive(Deserialize)]
-struct LidarToNovatel {
-    transform: Transform,
-}
-
-#[derive(Deserialize)]
 struct Transform {
     rotation: [[f64; 3]; 3],
     translation: [[f64; 1]; 3],
 }
 
 impl Transform {
+    /// Reads a file, in some of which it is under a key `transform`.
+    fn read(path: &Path) -> Result<Self, ImportError> {
+        let mut file: Value = read_json(path)?;
+        let inner = file.get_mut("transform").map(Value::take);
+        serde_json::from_value(inner.unwrap_or(file)).map_err(|error| ImportError::content(path, error))
+    }
+
     fn parts(&self) -> Parts {
         let rotation = Matrix3::from_fn(|row, column| self.rotation[row][column]);
         (rotation, Vector3::from_fn(|row, _| self.translation[row][0]))

@@ -5,8 +5,9 @@ use std::path::{Path, PathBuf};
 use nalgebra::Isometry3;
 use realo_schemas::geometry::{View, tilt_degrees};
 
-use super::index::{Frame, Index, Listed};
+use super::index::{Index, Listed};
 use super::labels::{Labels, WorldLabels, side_labels};
+use super::lists::Frame;
 use super::poses::{Camera, roadside_pose, vehicle_pose};
 use super::{ROADSIDE, VEHICLE, lidar_height};
 use crate::ImportError;

@@ -3,6 +3,7 @@
 use std::path::Path;
 
 use super::{Imported, Importer, Job, Kind};
+use crate::dair::lists::{COOPERATIVE, LIST, ListOf, list_of};
 use crate::dair::{DairOptions, DairStep, dair_with};
 use crate::{ImportError, Options};
 
@@ -25,14 +26,20 @@ impl Importer for Dair {
     }
 
     fn recognise(&self, dir: &Path) -> Result<String, String> {
-        let list = "cooperative/data_info.json";
-        match dir.join(list).is_file() {
-            true => Ok(format!("there is `{list}`")),
-            false => Err(format!("there is no `{list}`")),
+        match list_of(dir)? {
+            (ListOf::DairC, why) => Ok(why),
+            (ListOf::Seq, why) => Err(format!("{why}, as V2X-Seq-SPD")),
         }
     }
 
     fn prepare(&self, dir: &Path, output: &Path, options: &Options) -> Result<Job, ImportError> {
+        let list = dir.join(COOPERATIVE).join(LIST);
+        // Where there is none, all lists are looked for, and those that are missing are named together.
+        if let Err(reason) = list_of(dir)
+            && list.is_file()
+        {
+            return Err(ImportError::content(dir, reason));
+        }
         let dair_options = DairOptions {
             roadside_stamp: options.roadside_stamp,
             level: options.level,

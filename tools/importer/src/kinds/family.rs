@@ -23,7 +23,7 @@ use crate::faults::{FaultsOfSweep, FileKind};
 use crate::options::Handed;
 use crate::pcd::Points;
 use crate::rows::read_rows;
-use crate::scenes::{Found, Label, Layout, RawSweep, Stated, SweepFiles};
+use crate::scenes::{Found, Label, Layout, RawSweep, Stated, SweepFiles, TruthOf};
 use crate::{ImportError, Options};
 
 /// What the boxes of labels are relative to.
@@ -159,6 +159,8 @@ impl Layout for Family {
             dropped: said.dropped,
             view: None,
             is_unscored: said.is_unscored,
+            truth: TruthOf::AllAgents,
+            noted: Vec::new(),
         });
         faults.or(sweep)
     }

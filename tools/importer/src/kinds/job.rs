@@ -109,7 +109,7 @@ impl Job {
 pub enum Imported {
     /// Of DAIR-V2X-C.
     Dair(Summary),
-    /// Of each scene, and what is missing of the data set besides.
+    /// Of each scene, and what else is said of the data set, in lines.
     Scenes(Vec<SceneSummary>, String),
     /// Of bags of ROS.
     Bags(Box<BagSummary>),
@@ -135,7 +135,7 @@ impl fmt::Display for Imported {
                 f.write_str(&texts.join("\n\n"))?;
                 match noted.is_empty() {
                     true => Ok(()),
-                    false => write!(f, "\nnote: missing in the data set:\n{noted}"),
+                    false => write!(f, "\n{noted}"),
                 }
             }
         }

@@ -16,7 +16,7 @@ use self::labels::labels;
 use super::{Importer, Job, Kind};
 use crate::faults::{FaultsOfSweep, FileKind};
 use crate::rows::read_rows;
-use crate::scenes::{Found, Layout, RawSweep, Scene, SceneAgent, Stated, SweepFiles};
+use crate::scenes::{Found, Layout, Lost, RawSweep, Scene, SceneAgent, Stated, SweepFiles, TruthOf};
 use crate::{ImportError, Options};
 
 /// KITTI.
@@ -124,6 +124,7 @@ impl Layout for KittiLayout {
             agents: vec![agent],
             unwanted: Vec::new(),
             assumed: Vec::new(),
+            lost: Lost::default(),
         }];
         Ok(Found {
             scenes,
@@ -150,6 +151,8 @@ impl Layout for KittiLayout {
                 dropped,
                 view: Some(view),
                 is_unscored: false,
+                truth: TruthOf::AllAgents,
+                noted: Vec::new(),
             })
         });
         if sweep.is_none() && faults.0.iter().all(|fault| fault.kind != FileKind::Labels) {

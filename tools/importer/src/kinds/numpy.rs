@@ -14,7 +14,7 @@ use super::{Importer, Job, Kind};
 use crate::faults::{FaultsOfSweep, FileKind};
 use crate::pcd::{Intensities, IntensityFrom, Points};
 use crate::places::of_rows;
-use crate::scenes::{Found, Label, Layout, RawSweep, Scene, SceneAgent, Stated, SweepFiles, agent_name};
+use crate::scenes::{Found, Label, Layout, Lost, RawSweep, Scene, SceneAgent, Stated, SweepFiles, TruthOf, agent_name};
 use crate::{ImportError, Options};
 
 /// Arrays of numpy.
@@ -150,6 +150,7 @@ impl Layout for NumpyLayout {
                 agents: agents_of(agents)?,
                 unwanted: Vec::new(),
                 assumed: Vec::new(),
+                lost: Lost::default(),
             })
         };
         Ok(Found {
@@ -204,8 +205,13 @@ fn agents_of(folders: Agents) -> Result<Vec<SceneAgent>, ImportError> {
         };
         let sweep = |(place, (number, name)): (usize, (u64, String))| {
             let stem = name.rsplit_once('.').map_or(&*name, |(stem, _)| stem);
+            let (labels, labels_in) = match name.ends_with(".npz") {
+                true => (path.join(&name), "array `boxes`"),
+                false => (path.join(format!("{stem}{BOXES}")), ""),
+            };
             let files = SweepFiles {
-                labels: path.join(format!("{stem}{BOXES}")),
+                labels,
+                labels_in,
                 cloud: path.join(&name),
                 map_from_lidar: poses.get(place).copied(),
                 ..SweepFiles::default()
@@ -333,6 +339,8 @@ fn archived(path: &Path, options: &Options) -> Result<RawSweep, ImportError> {
         dropped: 0,
         view: None,
         is_unscored: false,
+        truth: TruthOf::AllAgents,
+        noted: Vec::new(),
     })
 }
 
@@ -357,6 +365,8 @@ fn beside(files: &SweepFiles, options: &Options) -> Result<RawSweep, ImportError
         dropped: 0,
         view: None,
         is_unscored: false,
+        truth: TruthOf::AllAgents,
+        noted: Vec::new(),
     })
 }
 

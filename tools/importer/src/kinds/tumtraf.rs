@@ -16,7 +16,7 @@ use crate::clouds::read_points;
 use crate::faults::{FaultsOfSweep, FileKind};
 use crate::options::{BoxPlace, SweepStamp};
 use crate::pcd::Points;
-use crate::scenes::{Found, Layout, RawSweep, Scene, SceneAgent, Stated, SweepFiles, agent_name};
+use crate::scenes::{Found, Layout, Lost, RawSweep, Scene, SceneAgent, Stated, SweepFiles, TruthOf, agent_name};
 use crate::{ImportError, Options};
 
 /// TUMTraf-V2X.
@@ -213,6 +213,8 @@ impl Layout for TumTrafLayout {
                 dropped,
                 view: None,
                 is_unscored: false,
+                truth: TruthOf::AllAgents,
+                noted: Vec::new(),
             });
         faults.or(sweep)
     }
@@ -290,6 +292,7 @@ fn scene(name: String, run: &[Nanos], labels: &Files, sensors: &[(String, Files)
         agents,
         unwanted: Vec::new(),
         assumed: Vec::new(),
+        lost: Lost::default(),
     }
 }
 

@@ -14,7 +14,7 @@ use super::folders::{list, name_of, scene_name};
 use super::{Importer, Job, Kind};
 use crate::faults::{FaultsOfSweep, FileKind};
 use crate::options::BoxPlace;
-use crate::scenes::{Found, Layout, RawSweep, SharedLabels, Stated, SweepFiles};
+use crate::scenes::{Found, Layout, RawSweep, SharedLabels, Stated, SweepFiles, TruthOf};
 use crate::{ImportError, Options};
 
 /// UrbanIng-V2X.
@@ -140,6 +140,8 @@ impl Layout for UrbaningLayout {
             dropped,
             view: None,
             is_unscored: false,
+            truth: TruthOf::AllAgents,
+            noted: Vec::new(),
         });
         faults.or(sweep)
     }

@@ -7,7 +7,7 @@ use realo_schemas::{Nanos, PointCloud};
 use super::known::Known;
 use super::truth::Labelled;
 use super::write::SceneImport;
-use super::{Label, RawSweep, Scene, SweepFiles};
+use super::{Label, RawSweep, Scene, SweepFiles, TruthOf};
 use crate::clouds::BodyCloud;
 use crate::faults::{FaultsOfSweep, FileKind};
 use crate::level::body_from_sensor;
@@ -30,6 +30,10 @@ pub struct BodySweep {
     pub is_unscored: bool,
     /// Whether its files say its stamp.
     pub is_stamped: bool,
+    /// What it is scored against; views in the body frame.
+    pub truth: TruthOf,
+    /// What is strange in its files.
+    pub noted: Vec<(&'static str, String)>,
 }
 
 /// A frame: the sweeps and the labels of its agents, in one order.
@@ -74,6 +78,8 @@ impl SceneImport<'_> {
             dropped,
             view,
             is_unscored,
+            truth,
+            noted,
         } = raw;
         let stamp = stated.stamp.unwrap_or(by_clock);
         let mut faults = FaultsOfSweep::default();
@@ -100,6 +106,8 @@ impl SceneImport<'_> {
                 view: view.map(|view| view.moved(&body_from_lidar)),
                 is_unscored,
                 is_stamped: stated.stamp.is_some(),
+                truth: truth.moved(&body_from_lidar),
+                noted,
             };
             let labelled = Labelled {
                 folder: self.scene.agents[agent].folder.clone(),
@@ -109,6 +117,18 @@ impl SceneImport<'_> {
             (sweep, labelled)
         });
         faults.or(sweep)
+    }
+}
+
+impl TruthOf {
+    /// With the views in the body frame.
+    fn moved(mut self, body_from_lidar: &Isometry3<f64>) -> Self {
+        if let TruthOf::Given { views, .. } = &mut self {
+            for view in views {
+                *view = view.moved(body_from_lidar);
+            }
+        }
+        self
     }
 }
 
@@ -153,9 +173,14 @@ fn check(files: &SweepFiles, map_from_lidar: &Isometry3<f64>, labels: &[Label]) 
         let distance = (map_from_object.translation.vector - sensor).norm();
         let fits = size.iter().all(|metres| *metres > 0.0 && *metres <= LARGEST_M);
         if !(fits && distance <= LABELLED) {
+            let place = match files.labels_in {
+                "" => String::new(),
+                place => format!("{place}: "),
+            };
             let reason = format!(
-                "object `{id}` (`{class}`): expected a box of 0 to {LARGEST_M} m within {LABELLED} m of its agent, found one of \
-                 {size:.2?} m (length, width, height) at {distance:.1} m; see its location and extent, and the pose of the file"
+                "{place}object `{id}` (`{class}`): expected a box of more than 0, at most {LARGEST_M} m, within {LABELLED} m of its \
+                 agent, found one of {size:.2?} m (length, width, height) at {distance:.1} m; see its location and extent, and the \
+                 pose of the file"
             );
             return Err(ImportError::content(&files.labels, reason));
         }

@@ -108,6 +108,8 @@ impl Work {
         let made = made.into_inner().unwrap_or_else(|poisoned| poisoned.into_inner());
         let summaries = made.into_values().collect::<Result<Vec<SceneSummary>, ImportError>>()?;
         let incomplete: usize = summaries.iter().map(|summary| summary.incomplete_frames).sum();
+        let incomplete = incomplete + self.found.lost;
+        let lost: usize = scenes.iter().map(|scene| scene.lost.frames).sum();
         let is_found_whole = self.found.faults.by_cause.is_empty();
         let some = summaries.iter().any(|summary| summary.frames > 0);
         if some && (options.skip_incomplete || (incomplete == 0 && is_found_whole)) {
@@ -117,7 +119,7 @@ impl Work {
         Err(ImportError::IncompleteFrames {
             path: self.dir.clone(),
             incomplete,
-            frames: all,
+            frames: all + lost + self.found.lost,
             missing: listed(&all_missing(&summaries, &self.found.faults)),
             some,
             written: written.map(|log| log.display().to_string()).collect(),
@@ -144,12 +146,23 @@ impl Work {
             std::fs::create_dir_all(folder).map_err(ImportError::io(folder))?;
         }
         let clock = self.clocks[place].clone();
-        SceneImport::new(self.layout, &self.dir, scene, clock, options).run(output, progress)
+        let is_whole = scene.lost.frames == 0 && !self.found.is_unclear;
+        let import = SceneImport::new(self.layout, &self.dir, scene, clock, options);
+        import.run((is_whole || options.skip_incomplete).then_some(output), progress)
     }
 
-    /// What is missing besides files of sweeps, in words; empty without any.
+    /// What is missing besides files of sweeps, and what is there in no scene, in words; empty without any.
     pub fn noted(&self) -> String {
-        self.found.faults.listed()
+        let Found { faults, unneeded, .. } = &self.found;
+        let lines = [
+            ("missing in the data set", faults),
+            ("in the data set, and in no log", unneeded),
+        ];
+        let some = lines.iter().filter(|(_, found)| !found.by_cause.is_empty());
+        let texts: Vec<String> = some
+            .map(|(what, found)| format!("note: {what}:\n{}", found.listed()))
+            .collect();
+        texts.join("\n")
     }
 }
 
@@ -279,6 +292,7 @@ mod tests {
             agents: Vec::new(),
             unwanted: Vec::new(),
             assumed: Vec::new(),
+            lost: crate::scenes::Lost::default(),
         };
         let scenes = ["a/b", "a-b", "A-B", "a-b_2", "场景", "地点"].map(scene);
         let names = file_names(&scenes);

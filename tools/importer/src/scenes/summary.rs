@@ -66,6 +66,10 @@ pub struct SceneSummary {
     pub unwanted: Vec<String>,
     /// What the data set does not say, a line each.
     pub assumed: Vec<String>,
+    /// Whether the data set has labels of all agents together, which are the truth.
+    pub has_given_truth: bool,
+    /// What is strange in files, and was taken, by cause.
+    pub noted: BTreeMap<String, Vec<String>>,
 }
 
 impl fmt::Display for SceneSummary {
@@ -101,11 +105,11 @@ impl fmt::Display for SceneSummary {
         }
         let classes: Vec<String> = self.classes.iter().map(|(class, n)| format!("{n} {class}")).collect();
         write!(f, "\nlabels: {}", classes.join(", "))?;
-        write!(
-            f,
-            "\ntruth: {} boxes, the labels of all agents together",
-            self.truth_boxes
-        )?;
+        let from = match self.has_given_truth {
+            true => "the cooperative labels",
+            false => "the labels of all agents together",
+        };
+        write!(f, "\ntruth: {} boxes, {from}", self.truth_boxes)?;
         if self.unscored > 0 {
             write!(f, "\nnot scored: {} sweeps, as their files say", self.unscored)?;
         }
@@ -146,6 +150,9 @@ impl SceneSummary {
 
     /// Whose labels the ground truth lacks.
     fn lacks(&self, f: &mut fmt::Formatter) -> fmt::Result {
+        if self.has_given_truth {
+            return Ok(());
+        }
         if !self.unwanted.is_empty() {
             let left = self.unwanted.join("`, `");
             write!(f, "\nthe truth lacks what only `{left}` labelled (--agents)")?;
@@ -184,6 +191,9 @@ impl SceneSummary {
                 f,
                 "\nlimited: {limited} intensities below 0 or brighter than those of the first {LOOKED_AT} sweeps"
             )?;
+        }
+        if !self.noted.is_empty() {
+            write!(f, "\nnote: taken as it is:\n{}", listed(&self.noted))?;
         }
         if self.incomplete_frames > 0 {
             let (frames, missing) = (self.incomplete_frames, listed(&self.missing));

@@ -9,6 +9,7 @@ use realo_schemas::geometry::yaw_of;
 use super::Label;
 
 /// The labels of an agent with where its body is.
+#[derive(Clone)]
 pub struct Labelled {
     /// The agent's folder.
     pub folder: String,

@@ -4,7 +4,7 @@ use std::collections::BTreeMap;
 use std::path::Path;
 
 use realo_logs::{AgentInfo, AgentKind, Levelled, LogInfo, LogWriter};
-use realo_schemas::{Nanos, PointCloud};
+use realo_schemas::{Box3, Boxes, Nanos, PointCloud};
 
 use super::clock::Clock;
 use super::count::points_in_boxes;
@@ -13,7 +13,7 @@ use super::known::Known;
 use super::poses::Poses;
 use super::residual::{Placed, residual};
 use super::truth::{Itself, Labelled, Truth, truth_of};
-use super::{AgentSummary, Layout, Scene, SceneAgent, SceneSummary};
+use super::{AgentSummary, Layout, Scene, SceneAgent, SceneSummary, TruthOf};
 use crate::faults::{Faults, FaultsOfSweep};
 use crate::level::Level;
 use crate::options::SweepStamp;
@@ -41,11 +41,12 @@ impl<'a> SceneImport<'a> {
         }
     }
 
-    /// Writes the log, if all frames are complete or incomplete ones are to be left out; calls `progress` after each frame.
+    /// Writes the log, if all frames are complete or incomplete ones are to be left out; calls `progress` after each frame. Without
+    /// `output` it only finds out what is missing or damaged.
     ///
     /// # Errors
     /// Why the log cannot be written. What is missing or damaged is in the summary.
-    pub fn run(&self, output: &Path, mut progress: impl FnMut()) -> Result<SceneSummary, ImportError> {
+    pub fn run(&self, output: Option<&Path>, mut progress: impl FnMut()) -> Result<SceneSummary, ImportError> {
         let known = |agent| Known::of(self.layout, self.scene, agent, self.options);
         let known: Vec<Known> = match self.scene.agents.iter().map(known).collect() {
             Ok(known) => known,
@@ -58,15 +59,16 @@ impl<'a> SceneImport<'a> {
             .iter()
             .map(|agent| self.poses(agent))
             .collect::<Result<_, _>>()?;
+        let create = |output| LogWriter::create_atomic(output, &self.info(&known));
         let mut writing = Writing {
             poses,
-            log: Some(LogWriter::create_atomic(output, &self.info(&known))?),
+            log: output.map(create).transpose()?,
             import: self,
             summary: self.summary(&known),
             known,
             tilts: vec![Vec::new(); self.scene.agents.len()],
             newest: vec![None; self.scene.agents.len()],
-            faults: Faults::default(),
+            faults: self.scene.lost.faults.clone(),
         };
         for number in numbers(self.scene, self.options) {
             match self.frame(number, &writing.known) {
@@ -84,7 +86,7 @@ impl<'a> SceneImport<'a> {
         (0..frames).for_each(|_| progress());
         SceneSummary {
             scene: self.scene.name.clone(),
-            incomplete_frames: frames,
+            incomplete_frames: frames + self.scene.lost.frames,
             missing: [("no height of a LiDAR".to_string(), vec![error.to_string()])].into(),
             ..SceneSummary::default()
         }
@@ -102,6 +104,9 @@ impl<'a> SceneImport<'a> {
         let agents = agents.map(|(agent, known)| self.agent(agent, known)).collect();
         let mut info = LogInfo::new(source(self.layout, self.scene), agents);
         info.key_frames = self.layout.scored().into();
+        if let Some(protocol) = self.layout.protocol() {
+            info.protocol = protocol.into();
+        }
         info
     }
 
@@ -120,6 +125,18 @@ impl<'a> SceneImport<'a> {
         }
     }
 
+    /// How long after their stamps the sweeps of an agent are ready, ns.
+    fn to_ready(&self, agent: &SceneAgent) -> Nanos {
+        match (self.layout.readiness(self.options), self.options.stamp) {
+            (Some(readiness), _) => match agent.kind {
+                AgentKind::Vehicle => readiness.vehicle,
+                AgentKind::Roadside => readiness.roadside,
+            },
+            (None, SweepStamp::Start) => self.clock.period,
+            (None, SweepStamp::End) => 0,
+        }
+    }
+
     fn footprint(&self, agent: &SceneAgent, known: &Known) -> Option<[f64; 4]> {
         let outline = known.footprint.unwrap_or(self.options.footprint);
         (agent.kind == AgentKind::Vehicle).then_some(outline)
@@ -128,7 +145,11 @@ impl<'a> SceneImport<'a> {
     fn summary(&self, known: &[Known]) -> SceneSummary {
         let mut assumed = self.layout.assumed(self.options);
         if !known.iter().all(|known| known.said.contains(&"stamps")) {
-            assumed.insert(0, self.clock.words(self.options));
+            let readiness = self.layout.readiness(self.options);
+            assumed.insert(
+                0,
+                readiness.map_or_else(|| self.clock.words(self.options), |it| it.words),
+            );
         }
         assumed.push(format!("frames levelled by: {} (--level)", self.options.level));
         assumed.extend(self.scene.assumed.iter().cloned());
@@ -145,6 +166,7 @@ impl<'a> SceneImport<'a> {
             scene: self.scene.name.clone(),
             agents: self.scene.agents.iter().zip(known).map(agent).collect(),
             assumed,
+            incomplete_frames: self.scene.lost.frames,
             unwanted: self.scene.unwanted.clone(),
             ..SceneSummary::default()
         }
@@ -208,55 +230,83 @@ impl Writing<'_> {
     }
 
     fn sweep(&mut self, sweep: &BodySweep, index: usize, labels: &[Labelled]) -> Result<(), ImportError> {
-        let SceneImport {
-            scene,
-            options,
-            clock,
-            layout,
-            ..
-        } = self.import;
+        let SceneImport { scene, layout, .. } = self.import;
         let Some(log) = &mut self.log else { return Ok(()) };
         let agent = &scene.agents[sweep.agent];
         let itself = Itself {
             footprint: self.import.footprint(agent, &self.known[sweep.agent]),
             is_object: layout.agents_are_objects(),
         };
-        let truth = truth_of(labels, index, &itself);
-        let points = points_on(&sweep.cloud, &truth);
-        let ready = match options.stamp {
-            SweepStamp::Start => sweep.stamp.saturating_add(clock.period),
-            SweepStamp::End => sweep.stamp,
+        let objects = match sweep.truth {
+            TruthOf::AllAgents => truth_of(labels, index, &itself),
+            TruthOf::Given { .. } | TruthOf::Nothing => truth_of(&labels[index..=index], 0, &itself),
         };
+        let points = points_on(&sweep.cloud, &objects);
         let (name, stamp) = (&agent.name, sweep.stamp);
+        let ready = stamp.saturating_add(self.import.to_ready(agent));
         let map_from_body = &labels[index].map_from_body;
         match &mut self.poses[sweep.agent] {
             Some(poses) => poses.sweep(log, name, [stamp, ready], map_from_body)?,
             None => log.pose(name, stamp, stamp, &recorded(*map_from_body))?,
         }
         log.cloud(name, stamp, ready, &sweep.cloud)?;
-        let own = &truth.boxes[..truth.own];
-        if let Some(view) = &sweep.view {
-            log.own_views(name, stamp, ready, std::slice::from_ref(view))?;
-            log.truth_views(name, stamp, ready, std::slice::from_ref(view))?;
+        let own = &objects.boxes[..objects.own];
+        if layout.labels_are_detections() {
+            log.detections(name, stamp, ready, &as_detections(own))?;
         }
-        log.own_labels(name, stamp, ready, own, Some(&points[..truth.own]), !sweep.is_unscored)?;
-        log.truth(name, stamp, ready, &truth.boxes, Some(&points), !sweep.is_unscored)?;
-        self.summary.unscored += usize::from(sweep.is_unscored);
+        let (key, view) = (!sweep.is_unscored, sweep.view.as_ref().map(std::slice::from_ref));
+        if let Some(view) = view {
+            log.own_views(name, stamp, ready, view)?;
+        }
+        let truth = match &sweep.truth {
+            TruthOf::AllAgents => Some((objects.boxes.clone(), Some(&points[..]), view.unwrap_or_default())),
+            TruthOf::Given {
+                labels: given, views, ..
+            } => {
+                let given = Labelled {
+                    labels: given.clone(),
+                    ..labels[index].clone()
+                };
+                Some((truth_of(&[given], 0, &itself).boxes, None, &views[..]))
+            }
+            TruthOf::Nothing => None,
+        };
+        if let Some((_, _, views @ [_, ..])) = &truth {
+            log.truth_views(name, stamp, ready, views)?;
+        }
+        log.own_labels(name, stamp, ready, own, Some(&points[..objects.own]), key)?;
+        if let Some((boxes, points, _)) = &truth {
+            log.truth(name, stamp, ready, boxes, *points, key)?;
+            self.summary.truth_boxes += boxes.len();
+        }
+        self.count(sweep, own);
+        Ok(())
+    }
+
+    fn count(&mut self, sweep: &BodySweep, own: &[Box3]) {
+        let summary = &mut self.summary;
+        summary.unscored += usize::from(sweep.is_unscored);
         self.tilts[sweep.agent].push(sweep.tilt);
         for object in own {
-            *self.summary.classes.entry(object.class.to_string()).or_default() += 1;
+            *summary.classes.entry(object.class.to_string()).or_default() += 1;
         }
-        self.summary.truth_boxes += truth.boxes.len();
-        self.summary.dropped_labels += sweep.dropped;
-        self.summary.limited_intensities += sweep.limited;
-        let summary = &mut self.summary.agents[sweep.agent];
+        summary.dropped_labels += sweep.dropped;
+        if let TruthOf::Given { dropped, .. } = sweep.truth {
+            summary.dropped_labels += dropped;
+        }
+        summary.has_given_truth |= !matches!(sweep.truth, TruthOf::AllAgents);
+        for (cause, name) in &sweep.noted {
+            let names = summary.noted.entry((*cause).into()).or_default();
+            names.push(name.clone());
+        }
+        summary.limited_intensities += sweep.limited;
+        let agent = &mut summary.agents[sweep.agent];
         if let Some(key) = sweep.pose_of {
-            *summary.poses_of.entry(key.into()).or_default() += 1;
+            *agent.poses_of.entry(key.into()).or_default() += 1;
         }
-        summary.sweeps += 1;
-        summary.points += sweep.cloud.len();
-        summary.labels += truth.own;
-        Ok(())
+        agent.sweeps += 1;
+        agent.points += sweep.cloud.len();
+        agent.labels += own.len();
     }
 
     /// Compares the clouds of every two agents, once.
@@ -282,7 +332,7 @@ impl Writing<'_> {
         }
     }
 
-    fn finish(mut self, output: &Path) -> Result<SceneSummary, ImportError> {
+    fn finish(mut self, output: Option<&Path>) -> Result<SceneSummary, ImportError> {
         self.summary.missing = self.faults.by_cause;
         let level = self.import.options.level;
         if let Some(mut log) = self.log.filter(|_| self.summary.frames > 0) {
@@ -299,10 +349,20 @@ impl Writing<'_> {
                     .collect(),
             );
             log.finish()?;
-            self.summary.log = Some(output.into());
+            self.summary.log = output.map(Into::into);
         }
         Ok(self.summary)
     }
+}
+
+/// Labels as a detector would have found them: without what only who knows the objects can say.
+fn as_detections(labels: &[Box3]) -> Boxes {
+    let found = |label: &Box3| Box3 {
+        track: None,
+        velocity: None,
+        ..label.clone()
+    };
+    Boxes(labels.iter().map(found).collect())
 }
 
 /// An agent's own points on each box: as its files count them, else the points in the box.

@@ -100,7 +100,7 @@ fn a_file_that_says_something_else_is_refused_by_its_field() {
         (change("angle", "angles"), "object `11`: expected a key `angle`"),
         (
             change("extent: [2.2", "extent: [220.0"),
-            "object `11` (`Car`): expected a box of 0 to 100 m within 1000 m of its agent",
+            "object `11` (`Car`): expected a box of more than 0, at most 100 m, within 1000 m of its agent",
         ),
         (
             change("extent: [2.2", "extent: [-2.2"),

@@ -11,6 +11,7 @@ mod reading;
 mod round_trip;
 mod tumtraf;
 mod urbaning;
+mod v2x_seq;
 mod world;
 
 use world::Agent;

@@ -346,3 +346,32 @@ fn what_an_archive_lacks_or_has_wrong_is_named() {
     let error = import("numpy", dir.path(), &dir.path().join("out.mcap"), &[]).unwrap_err();
     assert!(error.contains("no such archive"), "{error}");
 }
+
+#[test]
+fn boxes_of_size_0_are_named_by_the_file_and_array_they_are_in() {
+    let flat = npy("<f8", "1, 7", &doubles(&[9.0, 0.0, 0.0, 4.0, 0.0, 1.5, 0.0]));
+    let Sweep { points, pose, .. } = sweep(&agents()[0], 0, 0);
+    let dir = tempfile::tempdir().unwrap();
+    let arrays = [
+        ("points", points.clone()),
+        ("pose", npy("<f8", "4, 4", &row_by_row(&pose))),
+        ("boxes", flat.clone()),
+    ];
+    write(
+        &dir.path().join("scene/1/000007.npz"),
+        &npz(&arrays, CompressionMethod::Stored),
+    );
+    let error = import("numpy", dir.path(), &dir.path().join("out.mcap"), &[]).unwrap_err();
+    let line = "scene/1/000007.npz: array `boxes`: object `1:0` (`Car`): expected a box of more than 0, at most 100 m, within 1000 m of \
+                its agent, found one of [4.00, 0.00, 1.50] m";
+    assert!(error.contains(line) && !error.contains("_boxes.npy"), "{error}");
+    let dir = tempfile::tempdir().unwrap();
+    write(&dir.path().join("scene/1/000007.npy"), &points);
+    write(&dir.path().join("scene/1/000007_boxes.npy"), &flat);
+    write(
+        &dir.path().join("scene/1/poses.npy"),
+        &npy("<f8", "1, 4, 4", &row_by_row(&pose)),
+    );
+    let error = import("numpy", dir.path(), &dir.path().join("out.mcap"), &[]).unwrap_err();
+    assert!(error.contains("scene/1/000007_boxes.npy: object `1:0`"), "{error}");
+}

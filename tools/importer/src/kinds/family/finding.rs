@@ -8,7 +8,7 @@ use realo_logs::AgentKind;
 
 use super::super::folders::{Listed, frame_of, list, name_of, scene_name};
 use super::frame_file::FrameFile;
-use crate::scenes::{Found, Scene, SceneAgent, SweepFiles, agent_name};
+use crate::scenes::{Found, Lost, Scene, SceneAgent, SweepFiles, agent_name};
 use crate::{ImportError, Options};
 
 /// Folders between the one that is given and an agent's, at most: the split, the scene, and one more.
@@ -160,6 +160,7 @@ impl Walk<'_> {
             agents,
             unwanted: Vec::new(),
             assumed: Vec::new(),
+            lost: Lost::default(),
         });
         Ok(())
     }

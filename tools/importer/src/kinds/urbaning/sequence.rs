@@ -13,7 +13,7 @@ use super::calibration::{Calibration, States};
 use super::times::TimeTable;
 use super::tracks::TracksFile;
 use crate::faults::Faults;
-use crate::scenes::{FurtherCloud, Scene, SceneAgent, SharedLabels, SweepFiles, agent_name};
+use crate::scenes::{FurtherCloud, Lost, Scene, SceneAgent, SharedLabels, SweepFiles, agent_name};
 use crate::{ImportError, Options};
 
 /// The table of times of a sequence.
@@ -194,6 +194,7 @@ impl Sequence {
             agents,
             unwanted: Vec::new(),
             assumed,
+            lost: Lost::default(),
         }))
     }
 
