@@ -52,7 +52,7 @@ impl RunProgress {
     pub fn short(&self) -> String {
         let mut words = format!("{:.1} Hz", self.hz);
         if let Some(age) = self.age_ms {
-            words.push_str(&format!(", {age:.0} ms old"));
+            words.push_str(&format!(", {:.0} ms old", whole(age)));
         }
         if let Some(lost) = self.lost {
             words.push_str(&format!(", {lost} lost"));
@@ -61,11 +61,16 @@ impl RunProgress {
     }
 }
 
+/// A number without a place behind the point, and never -0.
+fn whole(number: f64) -> f64 {
+    number.round() + 0.0
+}
+
 impl fmt::Display for RunProgress {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         write!(f, "{:.1} s into the log, {:.1} Hz", self.into_log_s, self.hz)?;
         if let Some(age) = self.age_ms {
-            write!(f, ", data {age:.0} ms old when fused")?;
+            write!(f, ", data {:.0} ms old when fused", whole(age))?;
         }
         match self.lost {
             Some(lost) => write!(f, ", {lost} messages lost on links"),
@@ -193,6 +198,12 @@ mod tests {
         let expected = "3.0 s into the log, 10.0 Hz, data 150 ms old when fused, 1 messages lost on links";
         assert_eq!(live.to_string(), expected);
         assert_eq!(live.short(), "10.0 Hz, 150 ms old, 1 lost");
+        let younger = RunProgress {
+            age_ms: Some(-0.3),
+            ..live.clone()
+        };
+        assert_eq!(younger.short(), "10.0 Hz, 0 ms old, 1 lost");
+        assert!(younger.to_string().contains("data 0 ms old"), "{younger}");
         // As dora writes it.
         let line = format!("14:30:15 stdout score: {}", live.to_line());
         assert_eq!(RunProgress::from_line(&line), Some(live));
