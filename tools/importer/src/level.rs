@@ -93,7 +93,7 @@ const REACH: f64 = 40.0;
 const LOWEST: f64 = -12.0;
 /// In the frame of a sensor the ground at the sensor lies no higher, m.
 pub const BELOW_A_SENSOR: f64 = -0.3;
-/// In a frame that is on the ground already, the ground is so near to z = 0, m.
+/// In a frame that is on the ground already, the ground is at most so far from z = 0, m.
 const AT_ZERO: f64 = 0.3;
 /// Where the ground is at z = 0, at most one of so many points is below it: a hole, or a reflection.
 const FEW_BELOW: usize = 50;
@@ -263,22 +263,18 @@ mod tests {
         let below = scene(&Translation3::new(0.0, 0.0, 1.8).into());
         let plane = Plane::of_ground(below.iter().copied(), BELOW_A_SENSOR);
         assert_eq!(Plane::of_ground_or_zero(&below), plane);
-        // The level beams of a LiDAR on walls around it are no ground: other beams see lower parts of the walls.
-        let ring = (0..20_000).map(|i| {
-            let (beam, angle) = (i % 8, f64::from(i / 8) * std::f64::consts::TAU / 2500.0);
+        // The level beams of a LiDAR on walls around it are no ground: other beams see what is below.
+        let on_walls = |i: i32, z: f64| {
+            let angle = f64::from(i) * 0.01;
             let reach = 15.0 + 10.0 * libm::sin(7.0 * angle);
-            [
-                reach * libm::cos(angle),
-                reach * libm::sin(angle),
-                -0.35 * f64::from(beam),
-            ]
-        });
-        let error = Plane::of_ground_or_zero(&ring.collect::<Vec<_>>());
-        let found = error.map(|plane| plane.offset);
-        assert!(
-            found.as_ref().map_or(true, |offset| *offset < BELOW_A_SENSOR),
-            "{found:?}"
-        );
+            [reach * libm::cos(angle), reach * libm::sin(angle), z]
+        };
+        let level = (0..628).map(|i| on_walls(i, 0.0));
+        let lower = (0..150).map(|i| on_walls(4 * i, -0.35 - 0.01 * f64::from(i)));
+        let seen: Vec<[f64; 3]> = level.chain(lower).collect();
+        let up_to = |highest| Plane::of_ground(seen.iter().copied(), highest);
+        assert!(up_to(BELOW_A_SENSOR).is_err() && up_to(AT_ZERO).is_ok());
+        assert!(Plane::of_ground_or_zero(&seen).unwrap_err().contains("no ground"));
     }
 
     #[test]

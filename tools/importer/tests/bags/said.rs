@@ -5,7 +5,7 @@ use realo_logs::{Log, Stream};
 use realo_schemas::Nanos;
 
 use super::wire::{Cloud, Marker, Recorded, cloud, detections, markers, odometry, transform};
-use super::world::{BASE, MOUNTED, MS, Names, PLAIN, SWEEPS, T0, place, points, recording, sweep, sweep_of};
+use super::world::{BASE, MOUNTED, MS, Names, PLAIN, SWEEPS, T0, place, points, recording, sweep, sweep_with};
 use super::writers::ros1;
 use super::{Played, import, played};
 
@@ -57,7 +57,7 @@ fn clouds_in_a_base_on_the_ground_become_a_log_by_the_draft() {
     let up = (MOUNTED + BASE) as f32;
     let on_ground: Vec<[f32; 3]> = points().iter().map(|[x, y, z]| [*x, *y, z + up]).collect();
     let mut messages: Vec<Recorded> = stamps()
-        .map(|at| sweep_of("/concatenated", [at + 95 * MS, at], "base_link", on_ground.clone()))
+        .map(|at| sweep_with("/concatenated", [at + 95 * MS, at], "base_link", on_ground.clone()))
         .collect();
     messages.extend((0..5 * SWEEPS).map(|k| {
         let at = T0 + k * 20 * MS;

@@ -32,11 +32,11 @@ pub fn points() -> Vec<[f32; 3]> {
 
 /// Fields as Hesai's driver has them, with doubles of absolute time.
 pub fn sweep(topic: &'static str, log_time: Nanos, stamp: Nanos, frame: &'static str) -> Recorded {
-    sweep_of(topic, [log_time, stamp], frame, points())
+    sweep_with(topic, [log_time, stamp], frame, points())
 }
 
 /// The same of other points.
-pub fn sweep_of(
+pub fn sweep_with(
     topic: &'static str,
     [log_time, stamp]: [Nanos; 2],
     frame: &'static str,
