@@ -351,7 +351,7 @@ fn beside(files: &SweepFiles, options: &Options) -> Result<RawSweep, Fault> {
     let points = points.map_err(fault(FileKind::Cloud))?;
     // `find` has refused folders that lack one.
     let map_from_lidar = files.map_from_lidar.unwrap_or_default();
-    let boxes = match files.labels.is_file() {
+    let boxes = match files.labels.exists() {
         true => Some(Array::read(&files.labels).map_err(fault(FileKind::Labels))?),
         false => None,
     };

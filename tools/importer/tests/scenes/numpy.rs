@@ -174,6 +174,23 @@ fn files_of_arrays_have_their_boxes_and_poses_beside_them() {
     let out = dir.path().join("out.mcap");
     import("numpy", &scene, &out, &[]).unwrap();
     compare_all(&out, "Car");
+    let boxes = scene.join(agents()[0].folder).join("000001_boxes.npy");
+    let whole = fs::read(&boxes).unwrap();
+    fs::remove_file(&boxes).unwrap();
+    assert!(
+        std::process::Command::new("mkfifo")
+            .arg(&boxes)
+            .status()
+            .unwrap()
+            .success()
+    );
+    let error = import("numpy", &scene, &out, &[]).unwrap_err();
+    assert!(
+        error.contains("a named pipe, expected a file") && error.contains("000001_boxes.npy"),
+        "labels are not left out: {error}"
+    );
+    fs::remove_file(&boxes).unwrap();
+    write(&boxes, &whole);
     let error = {
         write(&scene.join("2/poses.npy"), &npy("<f8", "2, 7", &[0; 112]));
         import("numpy", &scene, &out, &[]).unwrap_err()
