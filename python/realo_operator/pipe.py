@@ -29,9 +29,10 @@ LENT_AT_MOST = 64
 
 def run(operator):
     """Serves an operator class with the settings of the command line (`key=value`, as in the graph) to the host that
-    started the program. Ends the process: 0, or 1 with the error."""
+    started the program. Ends the process: 0, or 1 with the error. The host says why the operator refuses its settings."""
+    has_host, stage = os.environ.get("REALO_DRIVER") == "pipe", None
     try:
-        if os.environ.get("REALO_DRIVER") != "pipe":
+        if not has_host:
             mend = f"give a node `path: bin/realo` and `args: program {sys.argv[0]}`"
             raise ValueError(f"a plug-in, which a graph starts: {mend}")
         stage = operator(configuration(operator, sys.argv[1:]))
@@ -42,7 +43,19 @@ def run(operator):
     except Exception as error:  # noqa: BLE001: whatever it is, the run must hear of it
         if not isinstance(error, (ValueError, RuntimeError)):
             traceback.print_exc()
-        sys.exit(f"{operator.NAME}: {_told(error)}")
+        reason = _told(error)
+        refused = has_host and stage is None and _refuse(operator, reason)
+        sys.exit(1 if refused else f"{operator.NAME}: {reason}")
+
+
+def _refuse(operator, reason):
+    """Whether the host could be told why there is no stage."""
+    try:
+        row = {"version": pa.array([VERSION], pa.uint32()), "name": [operator.NAME], "refused": [reason]}
+        write(os.fdopen(os.dup(1), "wb"), row, None, False)
+    except OSError:
+        return False
+    return True
 
 
 def _told(error):

@@ -4,6 +4,8 @@ import io
 import math
 import os
 import random
+import subprocess
+import sys
 import unittest
 
 import numpy as np
@@ -221,6 +223,25 @@ class TestConfiguration(unittest.TestCase):
                 configuration(Echo, [arg])
         with self.assertRaisesRegex(ValueError, "setting `ego` is given twice, as `a` and as `b`: keep one"):
             configuration(Echo, ["ego=a", "ego=b"])
+
+
+class TestRefusal(unittest.TestCase):
+    def test_the_host_hears_why_settings_are_refused(self):
+        code = "import sys; sys.path.insert(0, sys.argv.pop(1)); from test_operator import Echo, pipe; pipe.run(Echo)"
+        tests = os.path.dirname(os.path.abspath(__file__))
+        paths = os.pathsep.join([os.path.dirname(tests), os.environ.get("PYTHONPATH", "")])
+        for host, arg in (("pipe", "scor=1"), ("", "score=1")):
+            env = {**os.environ, "REALO_DRIVER": host, "PYTHONPATH": paths}
+            words = [sys.executable, "-B", "-c", code, tests, arg]
+            done = subprocess.run(words, capture_output=True, env=env, stdin=subprocess.DEVNULL)
+            self.assertEqual(done.returncode, 1, done.stderr)
+            if not host:
+                self.assertIn(b"echo: a plug-in, which a graph starts", done.stderr)
+                continue
+            self.assertEqual(done.stderr, b"")
+            row = pipe.read(io.BytesIO(done.stdout), None)
+            self.assertEqual((row.column("version")[0].as_py(), row.column("name")[0].as_py()), (pipe.VERSION, "echo"))
+            self.assertIn("did you mean `score`", row.column("refused")[0].as_py())
 
 
 class TestOutputs(unittest.TestCase):

@@ -415,6 +415,10 @@ fn read(path: &Path) -> Result<Vec<u8>, NetworkError> {
             "expected an ONNX file, found one that cannot be read: {error}; correct `model`, which is relative to the graph's folder"
         ))
     })?;
+    if bytes.is_empty() {
+        let reason = "expected an ONNX file, found an empty file; export the network anew by torch.onnx.export, or copy the file again";
+        return Err(refused(reason.into()));
+    }
     if bytes.starts_with(POINTER) {
         let reason = "expected an ONNX file, found a pointer of Git LFS: `git lfs pull` fetches the file itself";
         return Err(refused(reason.into()));

@@ -3,12 +3,23 @@ use std::path::{Path, PathBuf};
 
 use realo_schemas::{Nanos, to_seconds};
 
+use crate::shell;
+
+/// Tried with a file that is to be written.
+pub(crate) const CREATE: &str = "create";
+
 /// What helps where the file system refuses, as the end of a sentence.
-fn advice(reason: &io::Error) -> &'static str {
-    match reason.kind() {
-        io::ErrorKind::NotFound => "; correct the path, or write a log there first (docs/reference/log-format.md)",
-        io::ErrorKind::PermissionDenied => "; look at the file's and the folder's permissions",
-        _ => "",
+fn advice(path: &Path, action: &str, reason: &io::Error) -> String {
+    match (reason.kind(), path.parent()) {
+        (io::ErrorKind::NotFound, Some(folder)) if action == CREATE => {
+            let word = shell::word(folder);
+            format!("; its folder is not there: `mkdir -p {word}` makes it, or correct the path")
+        }
+        (io::ErrorKind::NotFound, _) => {
+            "; correct the path, or write a log there first (docs/reference/log-format.md)".into()
+        }
+        (io::ErrorKind::PermissionDenied, _) => "; look at the file's and the folder's permissions".into(),
+        _ => String::new(),
     }
 }
 
@@ -16,7 +27,7 @@ fn advice(reason: &io::Error) -> &'static str {
 #[derive(Debug, thiserror::Error)]
 pub enum LogError {
     /// The file system refused.
-    #[error("cannot {action} `{}`: {reason}{}", .path.display(), advice(.reason))]
+    #[error("cannot {action} `{}`: {reason}{}", .path.display(), advice(.path, .action, .reason))]
     Io {
         /// The file.
         path: PathBuf,
@@ -187,6 +198,14 @@ impl LogError {
         }
     }
 
+    /// The same of a file by whose name whoever asked for it knows it.
+    pub(crate) fn named(mut self, name: &Path) -> LogError {
+        if let LogError::Io { path, .. } | LogError::Input { path, .. } = &mut self {
+            *path = name.into();
+        }
+        self
+    }
+
     pub(crate) fn io(path: &Path, action: &'static str) -> impl FnOnce(io::Error) -> LogError {
         let path = path.to_path_buf();
         move |reason| LogError::Io { path, action, reason }
@@ -205,5 +224,42 @@ impl LogError {
             path: path.to_path_buf(),
             reason: reason.into(),
         }
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use crate::{AgentInfo, AgentKind, LogInfo, LogWriter};
+
+    #[test]
+    fn a_folder_that_is_not_there_is_named_with_the_command_that_makes_it() {
+        let dir = tempfile::tempdir().unwrap();
+        let folder = dir.path().join("no/such dir");
+        let path = folder.join("x.mcap");
+        let agent = AgentInfo {
+            name: "cav1".into(),
+            kind: AgentKind::Vehicle,
+            footprint: None,
+            sensor: String::new(),
+            sensor_position: None,
+        };
+        let info = LogInfo::new("a test", vec![agent]);
+        for created in [LogWriter::create_atomic(&path, &info), LogWriter::create(&path, &info)] {
+            let error = created.err().unwrap().to_string();
+            assert!(
+                error.contains(&format!("cannot create `{}`: ", path.display())),
+                "{error}"
+            );
+            assert!(
+                error.contains(&format!("`mkdir -p '{}'` makes it", folder.display()))
+                    && !error.contains("write a log"),
+                "{error}"
+            );
+        }
+        let error = crate::Log::open(&path).err().unwrap().to_string();
+        assert!(
+            error.contains("write a log there first") && !error.contains("mkdir"),
+            "{error}"
+        );
     }
 }

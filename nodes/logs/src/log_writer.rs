@@ -6,6 +6,7 @@ use nalgebra::Isometry3;
 use realo_schemas::geometry::View;
 use realo_schemas::{AgentState, Box3, Boxes, Name, Nanos, PointCloud, body_frame};
 
+use crate::error::CREATE;
 use crate::info::{CLOCKS, END_RECORD, LEVELLED, LOG_RECORD, check_agents};
 use crate::mcap_writer::{ChannelId, ChunkGroup, Failure, McapWriter, Output};
 use crate::motion::{FixReading, ImuReading, WheelReading, encode_fix, encode_imu, encode_wheels};
@@ -46,7 +47,7 @@ impl LogWriter {
     pub fn create(path: impl AsRef<Path>, info: &LogInfo) -> Result<Self, LogError> {
         let path = path.as_ref();
         check_agents(&info.agents).map_err(|reason| LogError::input(path, reason))?;
-        let file = File::create(path).map_err(LogError::io(path, "create"))?;
+        let file = File::create(path).map_err(LogError::io(path, CREATE))?;
         // Whoever clears up leaves what somebody writes.
         let _ = file.try_lock();
         Self::to_output(path, file, info)
@@ -58,7 +59,7 @@ impl LogWriter {
     /// As [`LogWriter::create`].
     pub fn create_atomic(path: impl AsRef<Path>, info: &LogInfo) -> Result<Self, LogError> {
         let target = replaceable(path.as_ref())?;
-        let mut writer = Self::create(partial(&target), info)?;
+        let mut writer = Self::create(partial(&target), info).map_err(|error| error.named(&target))?;
         writer.target = Some(target);
         Ok(writer)
     }

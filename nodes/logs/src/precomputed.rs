@@ -8,6 +8,7 @@ use std::path::{Path, PathBuf};
 use realo_schemas::Nanos;
 use serde::{Deserialize, Serialize};
 
+use crate::error::CREATE;
 use crate::info::{END_RECORD, LOG_RECORD};
 use crate::level::need_level;
 use crate::log::parse_topic;
@@ -134,7 +135,7 @@ impl<'a> LogCopy<'a> {
         need_level(log)?;
         let target = replaceable(target)?;
         let partial = partial(&target);
-        let file = File::create(&partial).map_err(LogError::io(&partial, "create"))?;
+        let file = File::create(&partial).map_err(LogError::io(&target, CREATE))?;
         // Whoever clears up leaves what somebody writes.
         let _ = file.try_lock();
         let mut info = log.info().clone();

@@ -37,7 +37,8 @@ pub use ledger::{ChannelKey, Fates, Ledger, Settled};
 pub use links::link_books;
 pub use progress::RunProgress;
 pub use result::{
-    Accounted, AgeTable, EdgeBooks, Frames, LinkBooks, NodeSummary, RESULT, RunResult, Settings, Transport, VERSION,
+    Accounted, AgeTable, EdgeBooks, FinalBoxes, Frames, LinkBooks, NodeSummary, RESULT, RunResult, Settings, Transport,
+    VERSION,
 };
 pub use run::{GROUP, GraphStages, Run, SAMPLES, Samples, add_name};
 pub use sink::{Results, RunSettings, Settings as ResultsSettings};

@@ -55,7 +55,7 @@ impl RunProgress {
     pub fn short(&self) -> String {
         let mut words = format!("{:.1} Hz", self.hz);
         if let Some(age) = self.age_ms {
-            words.push_str(&format!(", {age:.0} ms old"));
+            words.push_str(&format!(", {:.0} ms old", whole(age)));
         }
         if let Some(lost) = self.lost {
             words.push_str(&format!(", {lost} lost"));
@@ -67,11 +67,16 @@ impl RunProgress {
     }
 }
 
+/// A number without a place behind the point, and never -0.
+fn whole(number: f64) -> f64 {
+    number.round() + 0.0
+}
+
 impl fmt::Display for RunProgress {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         write!(f, "{:.1} s into the log, {:.1} Hz", self.into_log_s, self.hz)?;
         if let Some(age) = self.age_ms {
-            write!(f, ", data {age:.0} ms old when fused")?;
+            write!(f, ", data {:.0} ms old when fused", whole(age))?;
         }
         if let Some(lost) = self.lost {
             write!(f, ", {lost} messages lost on links")?;
@@ -210,6 +215,12 @@ mod tests {
         progress.fates(&[fated(Fate::Stale, 0), fated(Fate::Stale, 0)]);
         (31..=40).for_each(|at| progress.boxes(at * TENTH, true));
         assert_eq!(progress.live(4_000_000_000).short(), "10.0 Hz, 1 lost, 2 too old");
+        let younger = RunProgress {
+            age_ms: Some(-0.3),
+            ..live.clone()
+        };
+        assert_eq!(younger.short(), "10.0 Hz, 0 ms old, 1 lost");
+        assert!(younger.to_string().contains("data 0 ms old"), "{younger}");
         // As dora writes it.
         let line = format!("14:30:15 stdout score: {}", live.to_line());
         assert_eq!(RunProgress::from_line(&line), Some(live));

@@ -1,4 +1,5 @@
 mod books;
+mod boxes;
 
 use std::collections::BTreeMap;
 
@@ -15,6 +16,7 @@ use crate::notes::sentence;
 use crate::sink::happened;
 use crate::{Samples, Spread, notes};
 pub use books::{Accounted, EdgeBooks, LinkBooks, Transport};
+pub use boxes::FinalBoxes;
 
 /// Version of the files; a reader refuses what is newer.
 pub const VERSION: u32 = 2;
@@ -54,6 +56,9 @@ pub struct RunResult {
     pub protocol: Option<String>,
     /// Sweeps of the ego.
     pub frames: Frames,
+    /// Boxes that the graph's last stage sent; `None` where no list of boxes came, or the run was made after the fact.
+    #[serde(default, skip_serializing_if = "Option::is_none")]
+    pub boxes: Option<FinalBoxes>,
     /// Against all objects of the mode; a key frame without boxes misses all of its objects.
     pub accuracy: Option<Orders<Accuracy>>,
     /// Against the objects that the ego alone sees; the others are ignored.
@@ -283,6 +288,7 @@ impl RunResult {
             agents: Vec::new(),
             protocol: None,
             frames: Frames::default(),
+            boxes: None,
             accuracy: None,
             accuracy_seen: None,
             accuracy_processed: None,

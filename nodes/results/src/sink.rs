@@ -82,10 +82,13 @@ struct Sweeps {
 }
 
 impl Sweeps {
-    fn add(&mut self, header: &Header) {
-        if self.known.insert((header.agent.clone(), header.seq)) {
+    /// Whether it is the first of its sweep.
+    fn add(&mut self, header: &Header) -> bool {
+        let is_first = self.known.insert((header.agent.clone(), header.seq));
+        if is_first {
             self.pace.add(header.stamp);
         }
+        is_first
     }
 }
 
@@ -177,9 +180,9 @@ impl Sink for Results {
 
     fn accept(&mut self, input: Input) -> Result<(), Error> {
         match input {
-            Input::Boxes(header, _) => {
+            Input::Boxes(header, boxes) => {
                 self.progress.boxes(header.stamp, header.clock.is_some());
-                self.take_boxes(&header);
+                self.take_boxes(&header, &boxes);
             }
             Input::Truth(header, truth) => self.take_truth(&header, &truth),
             Input::Evaluation(header, report) => self.take_evaluation(document(&header, &report, TOPIC)?)?,
@@ -245,8 +248,10 @@ fn document<T: DeserializeOwned>(header: &Header, report: &Report, expected: &'s
 }
 
 impl Results {
-    fn take_boxes(&mut self, header: &Header) {
-        self.boxes.add(header);
+    fn take_boxes(&mut self, header: &Header, boxes: &Boxes) {
+        if self.boxes.add(header) {
+            self.result.boxes.get_or_insert_default().take(boxes);
+        }
         self.realtime |= header.clock.is_some();
         self.timing.add_way(header);
         add_name(&mut self.result.egos, &header.agent);

@@ -424,7 +424,8 @@ impl fmt::Display for Draft {
             line(f, "frame", &quoted(&agent.frame))?;
             writeln!(
                 f,
-                "    height: {}  # of the frame over the ground, m (0 if it is on it), or `ground`: as the first sweeps have it",
+                "    height: {}  # of the frame over the ground, m (0 if it is on it), or `ground`: found in the first sweeps, below the LiDAR, \
+                 or at z = 0 of clouds that have nothing below",
                 agent.height
             )?;
             line(f, "pose", &agent.pose.to_string())?;

@@ -27,7 +27,7 @@ mod together;
 
 pub use draft::{Draft, counts_from_start, shortest};
 pub use error::BagError;
-pub use open::{open, recognise};
+pub use open::{PICKLE, is_pickle, open, recognise};
 pub use packets::decoded;
 pub use source::{Bag, Connection, Encoding, Message, Messages};
 pub use survey::{Survey, TopicSurvey, is_static, printable, survey};

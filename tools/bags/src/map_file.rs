@@ -323,9 +323,16 @@ impl<'de> Deserialize<'de> for PoseSource {
     fn deserialize<D: Deserializer<'de>>(deserializer: D) -> Result<Self, D::Error> {
         use serde::de::Error;
         let expected = "pose: expected `tf`, a topic, [x, y, z, yaw] or [x, y, z, qx, qy, qz, qw]";
-        // Serde names its own types where nothing fits.
         let found = NumbersOrText::deserialize(deserializer);
-        match found.map_err(|_| D::Error::custom(format!("{expected}, found something else")))? {
+        let found = found.map_err(|error| match error.to_string() {
+            // A field that is not there is read, too.
+            missing if missing.starts_with("missing field") => {
+                D::Error::custom(format!("{missing}; {}", expected.trim_start_matches("pose: ")))
+            }
+            // Serde names its own types where nothing fits.
+            _ => D::Error::custom(format!("{expected}, found something else")),
+        });
+        match found? {
             NumbersOrText::Text(text) if text == "tf" => Ok(PoseSource::Tf),
             NumbersOrText::Text(topic) => Ok(PoseSource::Topic(topic)),
             NumbersOrText::Numbers(numbers) => match numbers[..] {
@@ -447,7 +454,17 @@ mod tests {
             ("pose: tf", "pose: tf\n    offset: .inf", "offset"),
             ("clouds: /points", "clouds: []", "clouds: expected a topic"),
             ("agents:", "worlds: map\nagents:", "worlds"),
-            ("    frame: base_link\n", "", "frame"),
+            ("    frame: base_link\n", "", "missing field `frame`"),
+            (
+                "    pose: tf\n",
+                "",
+                "missing field `pose`; expected `tf`, a topic, [x, y, z, yaw] or [x, y, z, qx, qy, qz, qw]",
+            ),
+            (
+                "pose: tf",
+                "pose: {a: 1}",
+                "pose: expected `tf`, a topic, [x, y, z, yaw] or",
+            ),
         ] {
             let error = MapFile::parse(&SHORT.replace(from, to)).unwrap_err();
             assert!(error.contains(expected), "{error}");

@@ -121,6 +121,14 @@ pub(crate) fn open_file(path: &Path) -> Result<Box<dyn Bag>, BagError> {
     }
 }
 
+/// What a pickle is called, and why nothing is read from it.
+pub const PICKLE: &str = "a pickle of Python, which is never loaded, as loading one runs what is in it";
+
+/// Whether a file begins as a pickle of protocol 2 or later does. The older protocols begin as any text may.
+pub fn is_pickle(head: &[u8]) -> bool {
+    matches!(head, [0x80, 2..=5, ..])
+}
+
 /// What a file is instead, and what helps.
 fn what(path: &Path, head: &[u8]) -> String {
     let name = shell::word(path);
@@ -138,10 +146,8 @@ fn what(path: &Path, head: &[u8]) -> String {
         head if head.starts_with(b"\x04\x22\x4d\x18") => unpack("lz4", "lz4 -d"),
         head if head.starts_with(b"PK\x03\x04") => unpack("zip", "unzip"),
         head if head.starts_with(&ZSTD) => unpack("zstd twice", "zstd -d"),
-        [0x80, 2..=5, ..] => {
-            "a pickle of Python, which is never loaded, as loading one runs what is in it; save its arrays as `.npz` (numpy.savez) for \
-             `import numpy`, or record a bag"
-                .into()
+        head if is_pickle(head) => {
+            format!("{PICKLE}; save its arrays as `.npz` (numpy.savez) for `import numpy`, or record a bag")
         }
         head if head.starts_with(b"ply\n") || head.starts_with(b"ply\r") => {
             "a cloud of PLY; `import opv2v` and `import v2x-real` read such clouds beside their labels".into()

@@ -24,6 +24,10 @@ pub enum FileKind {
     Labels,
     /// Where a sensor is, and what a camera sees.
     Calibration,
+    /// Where an agent is.
+    Pose,
+    /// All of these in one file, which is no such file.
+    Arrays,
 }
 
 impl FileKind {
@@ -32,6 +36,8 @@ impl FileKind {
             FileKind::Cloud => "damaged cloud",
             FileKind::Labels => "damaged labels",
             FileKind::Calibration => "damaged calibration",
+            FileKind::Pose => "damaged pose",
+            FileKind::Arrays => "damaged arrays",
         }
     }
 }

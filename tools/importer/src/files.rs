@@ -2,6 +2,7 @@
 
 use std::fs;
 use std::io::{Error, ErrorKind};
+use std::os::unix::fs::FileTypeExt;
 use std::path::{Component, Path, PathBuf};
 
 use serde::de::{DeserializeOwned, Error as _};
@@ -9,9 +10,26 @@ use serde::{Deserialize, Deserializer};
 
 use crate::ImportError;
 
+/// The bytes of a file. What is no regular file is refused: whoever opens a named pipe waits for its other end, and a device may
+/// never end.
+pub fn bytes(path: &Path) -> Result<Vec<u8>, ImportError> {
+    let kind = fs::metadata(path).map_err(ImportError::io(path))?.file_type();
+    // Of a folder the system says it itself.
+    if kind.is_file() || kind.is_dir() {
+        return fs::read(path).map_err(ImportError::io(path));
+    }
+    let found = match kind {
+        kind if kind.is_fifo() => "a named pipe",
+        kind if kind.is_socket() => "a socket",
+        _ => "a device",
+    };
+    let reason = format!("{found}, expected a file; put the file itself there");
+    Err(ImportError::io(path)(Error::other(reason)))
+}
+
 /// The bytes of a file that must be there, and hold something.
 pub fn read(path: &Path) -> Result<Vec<u8>, ImportError> {
-    let bytes = fs::read(path).map_err(ImportError::io(path))?;
+    let bytes = bytes(path)?;
     if bytes.is_empty() {
         return Err(ImportError::io(path)(Error::new(ErrorKind::UnexpectedEof, EMPTY)));
     }

@@ -93,6 +93,10 @@ const REACH: f64 = 40.0;
 const LOWEST: f64 = -12.0;
 /// In the frame of a sensor the ground at the sensor lies no higher, m.
 pub const BELOW_A_SENSOR: f64 = -0.3;
+/// In a frame that is on the ground already, the ground is at most so far from z = 0, m.
+const AT_ZERO: f64 = 0.3;
+/// Where the ground is at z = 0, at most one of so many points is below it: a hole, or a reflection.
+const FEW_BELOW: usize = 50;
 /// Width of the layers in which the commonest height is looked for, m.
 const LAYER: f64 = 0.2;
 /// A fit needs so many points near the plane.
@@ -148,6 +152,25 @@ impl Plane {
             true => Ok(plane),
             false => Err(too_few(close)),
         }
+    }
+
+    /// The ground of a cloud as its publisher gives it: below the sensor, else at z = 0 where next to nothing is below that, as in
+    /// clouds that a driver has brought to a `base_link` on the ground. In the frame of a LiDAR its lower beams see what is below.
+    ///
+    /// # Errors
+    /// Too few points near any plane.
+    pub fn of_ground_or_zero(points: &[[f64; 3]]) -> Result<Self, String> {
+        let below = Plane::of_ground(points.iter().copied(), BELOW_A_SENSOR);
+        let near = points.iter().filter(|[x, y, _]| libm::hypot(*x, *y) < REACH);
+        let lower = near.clone().filter(|[.., z]| *z < BELOW_A_SENSOR).count();
+        if below.is_ok() || lower > near.count() / FEW_BELOW {
+            return below;
+        }
+        let at_zero = Plane::of_ground(points.iter().copied(), AT_ZERO);
+        at_zero
+            .ok()
+            .filter(|plane| plane.offset.abs() < AT_ZERO)
+            .map_or(below, Ok)
     }
 
     fn above(&self, [x, y, z]: &[f64; 3]) -> f64 {
@@ -228,6 +251,30 @@ mod tests {
         let error = Plane::of_ground(wall, BELOW_A_SENSOR).unwrap_err();
         assert!(error.contains("no ground") && error.contains("--level pose"), "{error}");
         assert!(Plane::of_ground(std::iter::empty(), BELOW_A_SENSOR).is_err());
+    }
+
+    #[test]
+    fn a_cloud_on_the_ground_already_has_its_ground_at_zero() {
+        let on_ground = scene(&Isometry3::identity());
+        assert!(Plane::of_ground(on_ground.iter().copied(), BELOW_A_SENSOR).is_err());
+        let plane = Plane::of_ground_or_zero(&on_ground).unwrap();
+        assert!(plane.offset.abs() < 0.02 && plane.slope[0].abs() < 1e-3, "{plane:?}");
+        // Below a sensor nothing changes.
+        let below = scene(&Translation3::new(0.0, 0.0, 1.8).into());
+        let plane = Plane::of_ground(below.iter().copied(), BELOW_A_SENSOR);
+        assert_eq!(Plane::of_ground_or_zero(&below), plane);
+        // The level beams of a LiDAR on walls around it are no ground: other beams see what is below.
+        let on_walls = |i: i32, z: f64| {
+            let angle = f64::from(i) * 0.01;
+            let reach = 15.0 + 10.0 * libm::sin(7.0 * angle);
+            [reach * libm::cos(angle), reach * libm::sin(angle), z]
+        };
+        let level = (0..628).map(|i| on_walls(i, 0.0));
+        let lower = (0..150).map(|i| on_walls(4 * i, -0.35 - 0.01 * f64::from(i)));
+        let seen: Vec<[f64; 3]> = level.chain(lower).collect();
+        let up_to = |highest| Plane::of_ground(seen.iter().copied(), highest);
+        assert!(up_to(BELOW_A_SENSOR).is_err() && up_to(AT_ZERO).is_ok());
+        assert!(Plane::of_ground_or_zero(&seen).unwrap_err().contains("no ground"));
     }
 
     #[test]

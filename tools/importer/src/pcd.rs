@@ -8,7 +8,6 @@ mod ply;
 mod stamps;
 
 use std::borrow::Cow;
-use std::fs;
 use std::path::Path;
 
 use realo_logs::intensity_scale;
@@ -173,7 +172,7 @@ impl Intensities {
 /// # Errors
 /// A file that cannot be read; a head, a field or a length that does not fit, by name.
 pub fn read_pcd(path: &Path) -> Result<PcdCloud, ImportError> {
-    let bytes = fs::read(path).map_err(ImportError::io(path))?;
+    let bytes = crate::files::bytes(path)?;
     parse_pcd(&bytes).map_err(|reason| ImportError::content(path, reason))
 }
 

@@ -26,6 +26,11 @@ pub fn sentences(runs: &[(&str, &Run)]) -> Vec<String> {
     let iou = overlap(runs);
     let scored = scored(runs, &iou);
     let mut said = vec![ranking(&scored, &iou)];
+    if let (Some(found), [first]) = (boxes_found(runs), &mut said[..])
+        && scored.is_empty()
+    {
+        *first = format!("{first} {found}");
+    }
     let against = against(runs);
     said.extend(margins(&scored, &against));
     if let (Some(last), Some(without)) = (said.last_mut(), without_margin(&scored, &against)) {
@@ -65,6 +70,8 @@ struct Scored<'a> {
     name: &'a str,
     run: &'a Run,
     mean: f64,
+    /// Whether every class has objects, so that the mean is over all.
+    is_whole: bool,
     interval: Option<[f64; 2]>,
     /// By class.
     ap: Vec<(&'a str, f64)>,
@@ -86,6 +93,7 @@ impl<'a> Scored<'a> {
             run,
             // Where classes have no objects, the mean of the others, as tables say it.
             mean: whole.or_else(|| (!ap.is_empty()).then(|| sum / ap.len() as f64))?,
+            is_whole: whole.is_some(),
             interval: intervals.and_then(|all| all.accuracy.sorted.mean_ap.get(iou).copied().flatten()),
             ap,
         })
@@ -101,6 +109,24 @@ impl<'a> Scored<'a> {
             result.ended_by.as_ref().map(|_| result.frames.key),
             has_recorded_detections(self.run),
         )
+    }
+
+    /// What the mean is: mAP only over all classes.
+    fn metric(&self) -> String {
+        let classes: Vec<&str> = self.ap.iter().map(|(class, _)| *class).collect();
+        match &classes[..] {
+            _ if self.is_whole => "mAP".into(),
+            [class] => format!("AP of {class}"),
+            classes => format!("mAP of {}", classes.join(", ")),
+        }
+    }
+
+    /// The value, with what it is where the runs before it have another.
+    fn value_after(&self, before: &Scored) -> String {
+        match self.metric() == before.metric() {
+            true => self.value(),
+            false => format!("{} {}", self.metric(), self.value()),
+        }
     }
 
     fn value(&self) -> String {
@@ -119,7 +145,7 @@ fn ranking(scored: &[Scored], iou: &str) -> String {
     let same_logs = order.iter().all(|scored| scored.scope() == order[0].scope());
     match order.as_slice() {
         [] => "No run was scored: the log has no truth, or the graph has no evaluator.".into(),
-        [only] => format!("{} reaches mAP {} at IoU {iou}.", only.name, only.value()),
+        [only] => format!("{} reaches {} {} at IoU {iou}.", only.name, only.metric(), only.value()),
         [first, second, ..] if three(first.mean) == three(second.mean) => {
             let level = order
                 .iter()
@@ -134,7 +160,11 @@ fn ranking(scored: &[Scored], iou: &str) -> String {
                 _ if level == order.len() => format!("All {level} runs"),
                 _ => format!("{}, {} and {} more", first.name, second.name, level - 2),
             };
-            format!("{names} are level, at mAP {:.3} at IoU {iou}{last}.", first.mean)
+            format!(
+                "{names} are level, at {} {:.3} at IoU {iou}{last}.",
+                first.metric(),
+                first.mean
+            )
         }
         [first, second, ..] => {
             let last = order.last().filter(|_| order.len() > 2);
@@ -146,13 +176,14 @@ fn ranking(scored: &[Scored], iou: &str) -> String {
                 false => String::new(),
             };
             format!(
-                "{} {}, with mAP {} at IoU {iou}: {:.3} more than {}, which has {}{last}.{classes} {}",
+                "{} {}, with {} {} at IoU {iou}: {:.3} more than {}, which has {}{last}.{classes} {}",
                 first.name,
                 if same_logs { "is best" } else { "has the highest score" },
+                first.metric(),
                 first.value(),
                 first.mean - second.mean,
                 second.name,
-                second.value(),
+                second.value_after(first),
                 match same_logs {
                     true => certainty(first, second).into(),
                     false => format!(
@@ -163,6 +194,25 @@ fn ranking(scored: &[Scored], iou: &str) -> String {
             )
         }
     }
+}
+
+/// How many boxes runs found: all that is known of boxes that are not scored.
+fn boxes_found(runs: &[(&str, &Run)]) -> Option<String> {
+    const MOST: usize = 4;
+    let of = |(name, run): &(&str, &Run)| {
+        let boxes = run.result.boxes.as_ref()?;
+        Some(format!(
+            "{name} found {} boxes, {:.1} a sweep",
+            boxes.total, boxes.per_frame
+        ))
+    };
+    let mut all: Vec<String> = runs.iter().filter_map(of).collect();
+    if all.len() > MOST {
+        let more = all.len() - MOST;
+        all.truncate(MOST);
+        all.push(format!("{more} more are in the table"));
+    }
+    (!all.is_empty()).then(|| format!("{}.", all.join("; ")))
 }
 
 /// From here on a run is said to be better on a class than the best one.
@@ -417,7 +467,7 @@ fn ms(value: f64) -> String {
 pub(crate) mod tests {
     use std::collections::BTreeMap;
 
-    use realo_results::{Accounted, Cooperation, LinkBooks, RunResult, Samples, Settings, Timing};
+    use realo_results::{Accounted, Cooperation, FinalBoxes, LinkBooks, RunResult, Samples, Settings, Timing};
     use realo_scoring::{Accuracy, Bounds, Intervals, Orders};
 
     use super::*;
@@ -584,6 +634,39 @@ pub(crate) mod tests {
     }
 
     #[test]
+    fn a_mean_over_some_classes_is_called_what_it_is() {
+        let only_of = |classes: &[&str], value: f64| {
+            let mut run = run(value, value, true);
+            let accuracy = &mut run.result.accuracy.as_mut().unwrap().sorted;
+            accuracy.mean_ap.values_mut().for_each(|mean| *mean = None);
+            for (class, ap) in &mut accuracy.ap {
+                let has_objects = classes.contains(&class.as_str());
+                ap.values_mut().for_each(|ap| *ap = ap.filter(|_| has_objects));
+            }
+            accuracy.ap.insert("truck".into(), [("0.5".to_string(), None)].into());
+            run
+        };
+        let (one, two) = (only_of(&["vehicle"], 1.0), only_of(&["vehicle", "pedestrian"], 0.5));
+        let said = |runs: &[(&str, &Run)]| sentences(runs)[0].clone();
+        assert_eq!(said(&[("late", &one)]), "late reaches AP of vehicle 1.000 at IoU 0.5.");
+        assert_eq!(
+            said(&[("late", &two)]),
+            "late reaches mAP of pedestrian, vehicle 0.500 at IoU 0.5."
+        );
+        assert_eq!(
+            said(&[("a", &one), ("b", &one)]),
+            "a and b are level, at AP of vehicle 1.000 at IoU 0.5."
+        );
+        let apart = said(&[("a", &one), ("b", &two)]);
+        assert!(
+            apart.contains(
+                "with AP of vehicle 1.000 at IoU 0.5: 0.500 more than b, which has mAP of pedestrian, vehicle 0.500"
+            ),
+            "{apart}"
+        );
+    }
+
+    #[test]
     fn what_was_lost_or_late_is_counted() {
         let mut late = run(0.9, 0.5, true);
         let books = LinkBooks {
@@ -616,7 +699,24 @@ pub(crate) mod tests {
         silent.result.accuracy = None;
         silent.result.frames.key = 0;
         let said = sentences(&[("a", &silent)]);
-        assert!(said[0].starts_with("No run was scored"));
+        assert_eq!(
+            said[0],
+            "No run was scored: the log has no truth, or the graph has no evaluator."
+        );
+        silent.result.boxes = Some(FinalBoxes {
+            frames: 2,
+            total: 3,
+            per_frame: 1.5,
+            ..FinalBoxes::default()
+        });
+        let found = &sentences(&[("a", &silent)])[0];
+        assert!(
+            found.ends_with("no evaluator. a found 3 boxes, 1.5 a sweep."),
+            "{found}"
+        );
+        let runs: Vec<(&str, &Run)> = ["a", "b", "c", "d", "e", "f"].map(|name| (name, &silent)).into();
+        let found = &sentences(&runs)[0];
+        assert!(found.ends_with("; 2 more are in the table."), "{found}");
         assert_eq!(said[1], "No message for fusion crossed a link; no sweep is scored.");
     }
 }

@@ -208,6 +208,15 @@ pub fn main(runs: &[&Run]) -> Vec<Column> {
             interval.map_or(Cell::None, |[low, high]| Cell::Text(format!("{low:.3}–{high:.3}")))
         });
     }
+    columns.add_known(["boxes", "per frame", "boxes_per_frame"], |run| {
+        let boxes = run.result.boxes.as_ref();
+        Cell::number(
+            boxes
+                .filter(|_| run.result.accuracy.is_none())
+                .map(|boxes| boxes.per_frame),
+            |mean| format!("{mean:.1}"),
+        )
+    });
     traffic(&mut columns);
     columns.classes(&ious, true);
     columns.all
@@ -279,6 +288,14 @@ pub fn exact(runs: &[&Run]) -> Vec<Column> {
         });
     }
     traffic(&mut columns);
+    columns.add(["boxes", "", "boxes"], |run| {
+        let boxes = run.result.boxes.as_ref();
+        boxes.map_or(Cell::None, |boxes| Cell::count(boxes.total))
+    });
+    columns.add(["", "", "boxes_per_frame"], |run| {
+        let boxes = run.result.boxes.as_ref();
+        Cell::number(boxes.map(|boxes| boxes.per_frame), |mean| format!("{mean:.1}"))
+    });
     columns.add(["", "", "messages_lost_by_dora"], |run| {
         Cell::count(run.result.transport.total_lost)
     });

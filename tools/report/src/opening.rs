@@ -50,7 +50,11 @@ fn numbers(run: &Run) -> [String; 5] {
         // Of one class it is no mean.
         (_, Some((classes, known))) if classes.len() == 1 => format!("AP of {} {}", classes[0], known.join(" / ")),
         (_, Some((classes, known))) => format!("mAP of {} {}", classes.join(", "), known.join(" / ")),
-        (_, None) => format!("mAP {NONE}"),
+        // Without scores the number of boxes is what is known of them.
+        (_, None) => match result.boxes.as_ref().filter(|_| result.accuracy.is_none()) {
+            Some(boxes) => format!("{:.1} boxes a sweep", boxes.per_frame),
+            None => format!("mAP {NONE}"),
+        },
     };
     let traffic = payload(result).map_or(NONE.into(), kilobytes);
     let is_offline = result.settings.mode == OFFLINE;
@@ -121,6 +125,10 @@ mod tests {
         let means = &mut one.result.accuracy.as_mut().unwrap().sorted.mean_ap;
         means.values_mut().for_each(|mean| *mean = Some(0.75));
         other.result.accuracy = None;
+        assert_eq!(numbers(&other)[0], "mAP –");
+        other.result.boxes = Some(crate::tests::three_boxes());
+        assert_eq!(numbers(&other)[0], "1.5 boxes a sweep");
+        other.result.boxes = None;
         other.result.frames.key_skipped = 3;
         let said = opening(
             &[("late_fusion", &one), ("other\u{1b}", &other)],

@@ -151,6 +151,9 @@ fn add(sum: &mut RunResult, run: &RunResult) {
     run.egos.iter().for_each(|ego| add_name(&mut sum.egos, ego));
     run.agents.iter().for_each(|agent| add_name(&mut sum.agents, agent));
     sum.frames.add(&run.frames);
+    if let Some(boxes) = &run.boxes {
+        sum.boxes.get_or_insert_default().add(boxes);
+    }
     sum.peers.extend(run.peers.iter().cloned());
     run.clocks.iter().for_each(|clock| sum.add_clock(clock));
     for (link, kinds) in &run.links {

@@ -10,14 +10,15 @@ mod traffic;
 
 use std::collections::BTreeSet;
 
-use realo_results::{Cooperation, Run, Spread};
+use realo_results::{Cooperation, FinalBoxes, Run, Spread};
 use realo_schemas::Kind;
 use realo_scoring::Table;
 
-use crate::cells::{alarm, count, spread};
+use crate::cells::{alarm, count, spread, values};
 use crate::columns::{OFFLINE, STATE};
 use crate::foot::V2X_REAL;
 use crate::settings::{ISA, MODEL, POSE_SOURCE, PRECOMPUTED, PROGRAMS, PROJECT, RATE, SEED, SET, Setting, is_given};
+use crate::text::one_line;
 pub use clocks::said as said_of_clocks;
 use clocks::{clocks, has_clocks};
 use objects::{detections, recall};
@@ -299,14 +300,37 @@ fn disturbances(rows: &mut Rows) {
     rows.add_alarms("frames that were skipped", |run| Some(run.result.frames.key_skipped));
 }
 
+/// Classes of boxes that have a row: a stage of one's own may name each box otherwise.
+const CLASSES_SHOWN: usize = 20;
+
 fn frames(rows: &mut Rows, full: bool) {
     rows.add("sweeps of the ego", |run| Some(count(run.result.frames.total)));
     rows.add("scored", |run| Some(count(run.result.frames.key)));
     rows.add("without boxes", |run| Some(count(run.result.frames.skipped)));
+    found(rows, full);
     rows.add("rate, Hz of log time", |run| {
         let rate = run.timing.rate_hz.filter(|_| full || !is_offline(run))?;
         Some(format!("{rate:.2}"))
     });
+}
+
+/// How many boxes were found: the main result of runs that are not scored.
+fn found(rows: &mut Rows, full: bool) {
+    let of = |run: &Run| {
+        let boxes = run.result.boxes.clone();
+        boxes.filter(|_| full || run.result.accuracy.is_none())
+    };
+    rows.add("boxes: all / for each frame", |run| {
+        let boxes = of(run)?;
+        Some(values([count(boxes.total), format!("{:.1}", boxes.per_frame)]))
+    });
+    let all: Vec<FinalBoxes> = rows.runs.iter().filter_map(|run| of(run)).collect();
+    let classes = classes_of(all.iter().flat_map(|boxes| boxes.by_class.keys()));
+    for class in classes.iter().take(CLASSES_SHOWN) {
+        rows.add(format!("  {}", one_line(class)), |run| {
+            Some(count(*of(run)?.by_class.get(class)?))
+        });
+    }
 }
 
 /// Offline the data whose stamp is nearest are fused, younger ones too: how far apart stamps are counts, not an age.

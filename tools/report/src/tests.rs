@@ -1,4 +1,4 @@
-use realo_results::{Accounted, Ages, Fates, LinkBooks, NodeSummary, Run, Settings, Timing, TimingSamples};
+use realo_results::{Accounted, Ages, Fates, FinalBoxes, LinkBooks, NodeSummary, Run, Settings, Timing, TimingSamples};
 use realo_schemas::{Box3, Boxes, GroundTruth, Header, Kind, Nanos};
 use realo_scoring::{Evaluation, Protocol, TrackScores, evaluate, score};
 
@@ -93,6 +93,48 @@ pub(crate) fn run(log: &str, ego: &str, luck: u64) -> Run {
     let samples = run.samples.clone();
     run.result.conclude(&samples);
     run
+}
+
+/// Of two sweeps.
+pub(crate) fn three_boxes() -> FinalBoxes {
+    FinalBoxes {
+        frames: 2,
+        total: 3,
+        per_frame: 1.5,
+        by_class: [("Car".to_string(), 2), ("Bus\n".to_string(), 1)].into(),
+    }
+}
+
+#[test]
+fn a_run_without_truth_says_how_many_boxes_it_found() {
+    let mut one = run("a", "cav1", 1);
+    one.result.boxes = Some(three_boxes());
+    let label = "boxes: all / for each frame";
+    let short = table(&[("late_fusion", &one)], false, 100);
+    assert!(!short.contains(label), "scores say more: {short}");
+    let full = table(&[("late_fusion", &one)], true, 100);
+    assert_eq!(cells(&full, label), ["3 / 1.5"]);
+    assert_eq!(cells(&full, "Car"), ["2"]);
+    one.result.accuracy = None;
+    let unscored = table(&[("late_fusion", &one)], false, 100);
+    assert_eq!(cells(&unscored, label), ["3 / 1.5"]);
+    assert_eq!([cells(&unscored, "Car"), cells(&unscored, "Bus")], [["2"], ["1"]]);
+    let [name, value] = ["boxes", "boxes_per_frame"].map(|field| {
+        let fields = fields(&[&one]);
+        let found = fields.into_iter().find(|(name, _)| name == field);
+        found.expect("a column").1.remove(0)
+    });
+    assert_eq!([&*name, &*value], ["3", "1.5"]);
+    let three = [("a", &one), ("b", &one), ("c", &one)];
+    assert!(table(&three, false, 100).contains("per frame"));
+    let mut other = run("b", "cav1", 2);
+    other.result.boxes = Some(FinalBoxes {
+        frames: 3,
+        ..FinalBoxes::default()
+    });
+    let pooled = pool(&[one, other]).unwrap().result.boxes.unwrap();
+    assert_eq!((pooled.frames, pooled.total, pooled.per_frame), (5, 3, 0.6));
+    assert_eq!(pooled.by_class, three_boxes().by_class);
 }
 
 #[test]

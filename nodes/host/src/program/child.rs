@@ -14,7 +14,7 @@ use arrow::buffer::Buffer;
 use realo_schemas::{Message, Nanos};
 
 use realo_engine::Gone;
-use realo_operator::pipe::hello::{self, Hello};
+use realo_operator::pipe::hello::{self, Hello, NoHello};
 use realo_operator::pipe::memory::Memory;
 use realo_operator::pipe::words::{Call, Reply};
 use realo_operator::pipe::{FrameError, frame};
@@ -190,26 +190,28 @@ impl Child {
     fn wait_for_hello(&mut self, patience: Duration) -> Result<Hello, String> {
         const MEND: &str = "a plug-in is a program whose main is `realo_operator::run`, or that uses the Python module \
                             `realo_operator`";
-        let frame = match self.wait_for_reply(patience) {
-            Ok(Ok(bytes)) => hello::read(bytes),
+        let found = match self.wait_for_reply(patience) {
+            Ok(Ok(bytes)) => match hello::read(bytes) {
+                Ok(hello) => return Ok(hello),
+                Err(NoHello::Refused(reason)) => return Err(self.refused(&reason)),
+                Err(NoHello::Wrong(reason)) => reason,
+            },
             // It printed before it called `run`: it is a plug-in perhaps.
             Ok(Err(error @ FrameError::Text { .. })) => return Err(self.last_words(&error.to_string())),
-            Ok(Err(error)) => Err(error.to_string()),
+            Ok(Err(error)) => error.to_string(),
             Err(RecvTimeoutError::Timeout) if is_ending() => return Err(ENDED.into()),
             Err(RecvTimeoutError::Timeout) if self.exited(Duration::ZERO).is_some() => {
-                Err("it ended, and a program that it started holds its standard output open".into())
+                "it ended, and a program that it started holds its standard output open".into()
             }
-            Err(RecvTimeoutError::Timeout) => Err(format!("nothing within {} s", patience.as_secs())),
+            Err(RecvTimeoutError::Timeout) => format!("nothing within {} s", patience.as_secs()),
             Err(RecvTimeoutError::Disconnected) => {
                 let reason = self.farewell("before it declared its ports");
                 let mend = missing_module(&reason).unwrap_or(MEND.into());
                 return Err(format!("{reason}; {mend}"));
             }
         };
-        frame.map_err(|found| {
-            let reason = self.last_words(&format!("not the first frame of realo's pipe protocol: {found}"));
-            format!("{reason}; {MEND}")
-        })
+        let reason = self.last_words(&format!("not the first frame of realo's pipe protocol: {found}"));
+        Err(format!("{reason}; {MEND}"))
     }
 
     /// One call, and what came of it.
@@ -490,6 +492,26 @@ mod tests {
             "{error}"
         );
         assert!(begun.elapsed() < Duration::from_secs(18));
+    }
+
+    #[test]
+    fn a_program_that_refuses_its_settings_is_quoted_alone() {
+        let refusal = tempfile::NamedTempFile::new().unwrap();
+        let words = hello::write_refusal("mine", "setting `model`: expected an ONNX file, found a folder").unwrap();
+        frame::write_first(&mut refusal.as_file(), &words).unwrap();
+        let error = start(
+            &format!("cat '{}'; exit 1", refusal.path().display()),
+            Duration::from_secs(60),
+        );
+        let expected = "setting `model`: expected an ONNX file, found a folder";
+        assert!(
+            error.starts_with("node `fusion`: program `") && error.ends_with(expected),
+            "{error}"
+        );
+        assert!(
+            !error.contains("a plug-in is a program") && !error.contains("exit status"),
+            "{error}"
+        );
     }
 
     #[test]

@@ -380,12 +380,32 @@ fn boxes_that_come_again_answer_no_other_sweep() {
     let frames = (result.frames.total, result.frames.processed, result.frames.skipped);
     assert_eq!(frames, (4, 1, 3));
     assert_eq!(timing.samples.processed, 1);
+    let boxes = result.boxes.unwrap();
+    assert_eq!((boxes.frames, boxes.total), (2, 2), "each sweep once");
     assert!(
         result
             .notes
             .iter()
             .any(|note| note == "3 of 4 sweeps of the ego gave no boxes")
     );
+}
+
+#[test]
+fn counts_boxes_whether_or_not_there_is_truth() {
+    let folder = tempfile::tempdir().unwrap();
+    let of = |seq: u64, found: Vec<Box3>| (Input::BOXES, Message::new(header(seq, Kind::Boxes), Boxes(found)));
+    let bus = Box3::new("Bus", [5.0, 0.0, 1.5], [12.0, 2.5, 3.0], 0.0);
+    let messages = vec![of(0, vec![car(10.0, 0.9), bus, car(20.0, 0.8)]), of(1, vec![])];
+    let Run { result, .. } = run_in(folder.path(), messages, &[], &books(&[]));
+    assert_eq!(result.accuracy, None);
+    let text = std::fs::read_to_string(folder.path().join("result.json")).unwrap();
+    let json: serde_json::Value = serde_json::from_str(&text).unwrap();
+    let expected = serde_json::json!({"frames": 2, "total": 3, "per_frame": 1.5, "by_class": {"Bus": 1, "Car": 2}});
+    assert_eq!(json["boxes"], expected);
+    let folder = tempfile::tempdir().unwrap();
+    let truth = vec![(Input::TRUTH, Message::new(header(0, Kind::Truth), truth()))];
+    let Run { result, .. } = run_in(folder.path(), truth, &[], &books(&[]));
+    assert_eq!(result.boxes, None, "no list came");
 }
 
 #[test]

@@ -121,21 +121,56 @@ pub fn write(registration: &Registration, maps: &[(&str, KnownMap)], shares: boo
         .into_parts()
 }
 
+/// The first and only frame of a program that hosts no stage, because it is given something wrong, in parts.
+///
+/// # Errors
+/// What Arrow cannot write.
+pub fn write_refusal(name: &str, reason: &str) -> Result<Vec<Buffer>, String> {
+    Row::default()
+        .put("version", UInt32Array::from(vec![VERSION]))
+        .text("name", name)
+        .text(REFUSED, reason)
+        .into_parts()
+}
+
+/// The column of a reason not to host a stage.
+const REFUSED: &str = "refused";
+
+/// Why a program hosts no stage.
+#[derive(Debug, PartialEq, Eq, thiserror::Error)]
+pub enum NoHello {
+    /// It is given something wrong, as it says itself.
+    #[error("{0}")]
+    Refused(String),
+    /// Another version, or ports that cannot be.
+    #[error("{0}")]
+    Wrong(String),
+}
+
+impl From<String> for NoHello {
+    fn from(reason: String) -> Self {
+        NoHello::Wrong(reason)
+    }
+}
+
 /// What the first frame of a program declares.
 ///
 /// # Errors
-/// Another version, or ports that cannot be.
-pub fn read(bytes: Buffer) -> Result<Hello, String> {
+/// A program that refuses what it is given; another version, or ports that cannot be.
+pub fn read(bytes: Buffer) -> Result<Hello, NoHello> {
     let row = Received::from_bytes(bytes)?;
     let version = row.u32("version")?;
     if version != VERSION {
-        return Err(format!(
+        return Err(NoHello::Wrong(format!(
             "expected version {VERSION} of the pipe protocol, found {version}: build the program against this realo"
-        ));
+        )));
     }
     let name = row.text("name")?;
     if name.is_empty() {
-        return Err("expected a name, found an empty one".into());
+        return Err(NoHello::Wrong("expected a name, found an empty one".into()));
+    }
+    if let Ok(reason) = row.text(REFUSED) {
+        return Err(NoHello::Refused(reason.into()));
     }
     let ports: Ports = serde_json::from_str(row.text("ports")?).map_err(|error| {
         format!(
@@ -147,9 +182,9 @@ pub fn read(bytes: Buffer) -> Result<Hello, String> {
         MEMFD => true,
         PIPE => false,
         other => {
-            return Err(format!(
+            return Err(NoHello::Wrong(format!(
                 "column `memory`: expected `{MEMFD}` or `{PIPE}`, found `{other}`"
-            ));
+            )));
         }
     };
     let registration = register(name, ports)?;
@@ -314,7 +349,7 @@ mod tests {
         )
     }
 
-    fn said(ports: &str) -> Result<Hello, String> {
+    fn said(ports: &str) -> Result<Hello, NoHello> {
         let row = Row::default()
             .put("version", UInt32Array::from(vec![VERSION]))
             .text("name", "mine")
@@ -376,7 +411,10 @@ mod tests {
             role: Role::Gateway,
             ..registration
         };
-        let error = read(whole(write(&gateway, &[], false))).map(|_| ()).unwrap_err();
+        let error = read(whole(write(&gateway, &[], false)))
+            .map(|_| ())
+            .unwrap_err()
+            .to_string();
         assert!(error.contains("role: expected"), "{error}");
     }
 
@@ -442,14 +480,16 @@ mod tests {
             ),
         ];
         for (ports, expected) in cases {
-            let error = said(ports).map(|_| ()).unwrap_err();
+            let error = said(ports).map(|_| ()).unwrap_err().to_string();
             assert!(error.contains(expected), "{ports}: {error}");
         }
         let newer = Row::default()
             .put("version", UInt32Array::from(vec![VERSION + 1]))
             .into_parts();
-        let error = read(whole(newer)).map(|_| ()).unwrap_err();
+        let error = read(whole(newer)).map(|_| ()).unwrap_err().to_string();
         let expected = format!("expected version {VERSION} of the pipe protocol, found {}", VERSION + 1);
         assert!(error.contains(&expected), "{error}");
+        let refusal = read(whole(write_refusal("mine", "no such file"))).map(|_| ());
+        assert_eq!(refusal, Err(NoHello::Refused("no such file".into())));
     }
 }

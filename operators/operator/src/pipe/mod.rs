@@ -20,6 +20,7 @@
 //! | frame | direction | columns |
 //! |---|---|---|
 //! | hello | first from the program | `version` (u32), `name`, `memory` (`memfd` or `pipe`), `ports` (JSON: `role`, where it is not `operator`; `inputs` and `outputs`, each a list of `name`, `types`, `about`, for inputs also `queue`, `class`, `required`, `join`, `accounts`, `wire`, and for both `lane` and `map` (`size`: rows, columns, channels, null where any may come; `by`)) |
+//! | refusal | in place of the hello | `version` (u32), `name`, `refused`: why the program hosts no stage, as wrong settings; it then exits with 1 |
 //! | call | to the program | `call` (`input`, `wake` or `end`), `port`, `now` (i64, ns), for an input `message` (struct) |
 //! | reply | one for each call | `error` (empty: none), `ports` (list), `message_0`, `message_1`, … (structs; one for each of `ports`), `wakes` (list of i64, ns), `counters` (list), `counts` (list of u64), `reported` (JSON: `fates` and `traffic`, what the operator says of messages that cross links; `losses`, by counter what is lost: `meaning`, `note`, `remedy`, `agents`) |
 //!

@@ -16,7 +16,7 @@ use super::heads::{Heads, stamp_of};
 use super::track::Track;
 use super::{Counted, Import};
 use crate::ImportError;
-use crate::level::{BELOW_A_SENSOR, Plane, by_pose};
+use crate::level::{Plane, by_pose};
 
 /// Sweeps wait for those of other topics, at most so many.
 const WAITING: usize = 8;
@@ -264,11 +264,13 @@ fn over_ground(
         .map_or_else(UnitQuaternion::identity, |pose| level_from_body(&pose.rotation));
     let turn = level * frame_from_lidar.rotation;
     let points = cloud.x.iter().zip(cloud.y.iter()).zip(cloud.z.iter());
-    let points = points.map(|((x, y), z)| {
-        let point = turn * Vector3::new(f64::from(*x), f64::from(*y), f64::from(*z));
-        [point.x, point.y, point.z]
-    });
-    let ground = Plane::of_ground(points, BELOW_A_SENSOR).map_err(|reason| {
+    let points: Vec<[f64; 3]> = points
+        .map(|((x, y), z)| {
+            let point = turn * Vector3::new(f64::from(*x), f64::from(*y), f64::from(*z));
+            [point.x, point.y, point.z]
+        })
+        .collect();
+    let ground = Plane::of_ground_or_zero(&points).map_err(|reason| {
         // What helps there is another option.
         reason.split("; take --level").next().unwrap_or_default().to_string()
     })?;

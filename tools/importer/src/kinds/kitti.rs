@@ -96,6 +96,12 @@ impl Layout for KittiLayout {
                 return Err(ImportError::content(&dir.join(name), reason));
             }
         }
+        let placed = match poses {
+            Some(_) => "the map is the LiDAR's frame of the first pose; poses.txt has poses of the left camera",
+            None => {
+                "without poses.txt each frame is at the origin of the map: frames of the object benchmark do not follow each other"
+            }
+        };
         let sweep = |(number, stem): (u64, String)| {
             let file = |folder: &str, end: &str| dir.join(folder).join(format!("{stem}.{end}"));
             let at =
@@ -123,7 +129,7 @@ impl Layout for KittiLayout {
             name: name.unwrap_or_else(|| "kitti".into()),
             agents: vec![agent],
             unwanted: Vec::new(),
-            assumed: Vec::new(),
+            assumed: vec![placed.into()],
             lost: Lost::default(),
         }];
         Ok(Found {
@@ -167,8 +173,6 @@ impl Layout for KittiLayout {
 
     fn assumed(&self, _: &Options) -> Vec<String> {
         vec![
-            "without poses.txt each frame is at the origin of the map: frames of the object benchmark do not follow each other".into(),
-            "with poses.txt the map is the LiDAR's frame of the first pose; poses are of the left camera".into(),
             "labels are only in the image of 1242 × 375 pixels, which is the view of the truth; `DontCare` is no object".into(),
         ]
     }

@@ -11,7 +11,7 @@ use realo_logs::{AgentKind, track_of};
 use self::array::{Array, Arrays, Items};
 use super::folders::{frame_of, list, name_of, scene_name};
 use super::{Importer, Job, Kind};
-use crate::faults::{FaultsOfSweep, FileKind};
+use crate::faults::{Fault, FaultsOfSweep, FileKind};
 use crate::pcd::{Intensities, IntensityFrom, Points};
 use crate::places::of_rows;
 use crate::scenes::{Found, Label, Layout, Lost, RawSweep, Scene, SceneAgent, Stated, SweepFiles, TruthOf, agent_name};
@@ -166,7 +166,7 @@ impl Layout for NumpyLayout {
             true => archived(&files.cloud, options),
             false => beside(files, options),
         };
-        let sweep = faults.keep(FileKind::Cloud, read);
+        let sweep = read.map_err(|fault| faults.0.push(fault)).ok();
         faults.or(sweep)
     }
 
@@ -285,24 +285,30 @@ fn pose_of(numbers: &[f64]) -> Result<Isometry3<f64>, String> {
 }
 
 /// A sweep of an archive.
-fn archived(path: &Path, options: &Options) -> Result<RawSweep, ImportError> {
-    let mut arrays = Arrays::read(path)?;
-    let wrong = |reason: String| ImportError::content(path, reason);
+fn archived(path: &Path, options: &Options) -> Result<RawSweep, Fault> {
+    let fault = |kind: FileKind, reason: String| Fault {
+        kind,
+        error: ImportError::content(path, reason),
+    };
+    let mut arrays = Arrays::read(path).map_err(|error| Fault {
+        kind: FileKind::Arrays,
+        error,
+    })?;
     if let Some(other) = arrays.other_than(&ARRAYS) {
         let known = ARRAYS.join("`, `");
-        return Err(wrong(format!(
-            "expected no arrays but `{known}`, found `{other}`; rename it, or leave it out"
-        )));
+        let reason = format!("expected no arrays but `{known}`, found `{other}`; rename it, or leave it out");
+        return Err(fault(FileKind::Arrays, reason));
     }
     let missing = |name: &str, what: &str, names: String| {
-        wrong(format!(
-            "expected an array `{name}`, found {names}; save {what} under this name by numpy.savez"
-        ))
+        let reason = format!("expected an array `{name}`, found {names}; save {what} under this name by numpy.savez");
+        fault(FileKind::Arrays, reason)
     };
-    let points_array = arrays.array("points").map_err(wrong)?;
+    let of_cloud = |reason: String| fault(FileKind::Cloud, reason);
+    let of_pose = |reason: String| fault(FileKind::Pose, reason);
+    let points_array = arrays.array("points").map_err(of_cloud)?;
     let points_array =
         points_array.ok_or_else(|| missing("points", "N × 3 to 16 numbers (x, y, z, intensity)", arrays.names()))?;
-    let pose = arrays.array("pose").map_err(wrong)?;
+    let pose = arrays.array("pose").map_err(of_pose)?;
     let pose = pose.ok_or_else(|| {
         missing(
             "pose",
@@ -317,9 +323,10 @@ fn archived(path: &Path, options: &Options) -> Result<RawSweep, ImportError> {
             pose.words()
         )),
     });
-    let mut optional = |name: &str| arrays.array(name).map_err(wrong);
+    let of_labels = |reason: String| fault(FileKind::Labels, reason);
+    let mut optional = |name: &str| arrays.array(name).map_err(of_labels);
     let (boxes, classes, tracks) = (optional("boxes")?, optional("classes")?, optional("tracks")?);
-    let map_from_lidar = pose.map_err(|reason| wrong(format!("array `pose`: {reason}")))?;
+    let map_from_lidar = pose.map_err(|reason| of_pose(format!("array `pose`: {reason}")))?;
     let agent = name_of(path.parent().unwrap_or(path));
     let labels = labels(
         boxes.as_ref(),
@@ -329,12 +336,12 @@ fn archived(path: &Path, options: &Options) -> Result<RawSweep, ImportError> {
         &map_from_lidar,
         options,
     )
-    .map_err(wrong)?;
+    .map_err(of_labels)?;
     Ok(RawSweep {
         map_from_lidar,
         pose_of: None,
         stated: Stated::default(),
-        points: points(&points_array).map_err(|reason| wrong(format!("array `points`: {reason}")))?,
+        points: points(&points_array).map_err(|reason| of_cloud(format!("array `points`: {reason}")))?,
         labels,
         dropped: 0,
         view: None,
@@ -345,23 +352,26 @@ fn archived(path: &Path, options: &Options) -> Result<RawSweep, ImportError> {
 }
 
 /// A sweep of points with its boxes beside it, where there are some.
-fn beside(files: &SweepFiles, options: &Options) -> Result<RawSweep, ImportError> {
-    let array = Array::read(&files.cloud)?;
-    let points = points(&array).map_err(|reason| ImportError::content(&files.cloud, reason))?;
+fn beside(files: &SweepFiles, options: &Options) -> Result<RawSweep, Fault> {
+    let fault = |kind: FileKind| move |error: ImportError| Fault { kind, error };
+    let array = Array::read(&files.cloud).map_err(fault(FileKind::Cloud))?;
+    let points = points(&array).map_err(|reason| ImportError::content(&files.cloud, reason));
+    let points = points.map_err(fault(FileKind::Cloud))?;
     // `find` has refused folders that lack one.
     let map_from_lidar = files.map_from_lidar.unwrap_or_default();
-    let boxes = match files.labels.is_file() {
-        true => Some(Array::read(&files.labels)?),
+    let boxes = match files.labels.exists() {
+        true => Some(Array::read(&files.labels).map_err(fault(FileKind::Labels))?),
         false => None,
     };
     let agent = name_of(files.cloud.parent().unwrap_or(&files.cloud));
-    let labels = labels(boxes.as_ref(), None, None, &agent, &map_from_lidar, options);
+    let labels = labels(boxes.as_ref(), None, None, &agent, &map_from_lidar, options)
+        .map_err(|reason| ImportError::content(&files.labels, reason));
     Ok(RawSweep {
         map_from_lidar,
         pose_of: None,
         stated: Stated::default(),
         points,
-        labels: labels.map_err(|reason| ImportError::content(&files.labels, reason))?,
+        labels: labels.map_err(fault(FileKind::Labels))?,
         dropped: 0,
         view: None,
         is_unscored: false,

@@ -21,8 +21,18 @@ pub struct Clock {
     pub step: u64,
     /// Duration of a sweep.
     pub period: Nanos,
-    /// Whether the data set has times.
-    is_timed: bool,
+    times: Times,
+}
+
+/// What times a data set has.
+#[derive(Clone, Copy, Debug, PartialEq)]
+enum Times {
+    /// None: numbers of frames stand for them.
+    Numbers,
+    /// Since the first frame.
+    SinceFirst,
+    /// Of the day.
+    Stamps,
 }
 
 impl Clock {
@@ -33,15 +43,20 @@ impl Clock {
             .iter()
             .flat_map(|agent| agent.sweeps.keys().map(|number| (*number, ())))
             .collect();
+        let has = |is: &dyn Fn(&SweepFiles) -> bool| scene.agents.iter().any(|agent| agent.sweeps.values().any(is));
         Clock {
             start: start(&scene.name),
             first: numbers.keys().next().copied().unwrap_or(0),
             step: commonest_step(numbers.keys().copied()),
             period: (1e9 / options.rate_hz).round() as Nanos,
-            is_timed: scene
-                .agents
-                .iter()
-                .any(|agent| agent.sweeps.values().any(|files| files.at.is_some())),
+            times: match (
+                has(&|files| files.at.is_some()),
+                has(&|files| files.since_first.is_some()),
+            ) {
+                (true, _) => Times::Stamps,
+                (false, true) => Times::SinceFirst,
+                (false, false) => Times::Numbers,
+            },
         }
     }
 
@@ -60,22 +75,21 @@ impl Clock {
     /// In words.
     pub fn words(&self, options: &Options) -> String {
         let Clock { first, step, .. } = self;
-        if self.is_timed {
-            let (end, seconds) = (options.stamp.as_str(), self.period as f64 / 1e9);
-            return format!(
-                "stamps: those of the data set; a stamp is the {end} of its sweep, which takes {seconds:.4} s (--stamp, --rate)"
-            );
-        }
+        let (end, seconds) = (options.stamp.as_str(), self.period as f64 / 1e9);
+        let sweep = format!("a stamp is the {end} of its sweep, which takes {seconds:.4} s (--stamp, --rate)");
         let since_1970 = self.start / SECOND;
         let begin = match self.start == NO_DATE {
             true => "1 January 2020, for the scene's name has no date".into(),
             false => format!("the date in the scene's name, taken as UTC ({since_1970} s since 1970)"),
         };
-        format!(
-            "stamps: number {first} is at {begin}; numbers rise by {step} each {:.4} s; a stamp is the {} of its sweep (--rate, --stamp)",
-            self.period as f64 / 1e9,
-            options.stamp.as_str()
-        )
+        match self.times {
+            Times::Stamps => format!("stamps: those of the data set; {sweep}"),
+            Times::SinceFirst => format!("stamps: times of the data set count from {begin}; {sweep}"),
+            Times::Numbers => format!(
+                "stamps: number {first} is at {begin}; numbers rise by {step} each {seconds:.4} s; a stamp is the {end} of its sweep \
+                 (--rate, --stamp)"
+            ),
+        }
     }
 }
 
@@ -151,7 +165,7 @@ mod tests {
             first: 68,
             step: 2,
             period: SECOND / 10,
-            is_timed: false,
+            times: Times::Numbers,
         };
         let files = SweepFiles::default();
         assert_eq!(

@@ -50,7 +50,7 @@ impl Poses {
             .values()
             .map(|files| files.labels.with_file_name(name))
             .next();
-        let Some(path) = labels.filter(|path| path.is_file()) else {
+        let Some(path) = labels.filter(|path| path.exists()) else {
             return Ok(None);
         };
         let rows = rows(&path, &read_text(&path)?)?;

@@ -5,7 +5,7 @@ use realo_logs::{Log, Stream};
 use realo_schemas::Nanos;
 
 use super::wire::{Cloud, Marker, Recorded, cloud, detections, markers, odometry, transform};
-use super::world::{BASE, MOUNTED, MS, Names, PLAIN, SWEEPS, T0, place, points, recording, sweep};
+use super::world::{BASE, MOUNTED, MS, Names, PLAIN, SWEEPS, T0, place, points, recording, sweep, sweep_with};
 use super::writers::ros1;
 use super::{Played, import, played};
 
@@ -48,6 +48,35 @@ fn scored(log: &std::path::Path) -> usize {
 
 fn stamps() -> impl Iterator<Item = Nanos> {
     (0..SWEEPS).map(|k| T0 + k * 100 * MS)
+}
+
+#[test]
+fn clouds_in_a_base_on_the_ground_become_a_log_by_the_draft() {
+    let dir = tempfile::tempdir().unwrap();
+    let (bag, log) = (dir.path().join("some.bag"), dir.path().join("log.mcap"));
+    let up = (MOUNTED + BASE) as f32;
+    let on_ground: Vec<[f32; 3]> = points().iter().map(|[x, y, z]| [*x, *y, z + up]).collect();
+    let mut messages: Vec<Recorded> = stamps()
+        .map(|at| sweep_with("/concatenated", [at + 95 * MS, at], "base_link", on_ground.clone()))
+        .collect();
+    messages.extend((0..5 * SWEEPS).map(|k| {
+        let at = T0 + k * 20 * MS;
+        odometry("/odom", at + MS, at, ["map", "base_link"], place(0.0, at))
+    }));
+    messages.sort_by_key(|message| message.log_time);
+    ros1(&bag, &messages, "none");
+    let summary = import(&[bag], None, &log).unwrap();
+    assert_eq!(
+        (summary.agents[0].height_m, summary.agents[0].sweeps),
+        (0.0, SWEEPS as usize)
+    );
+    let draft = summary.draft.unwrap();
+    assert!(
+        draft.contains("height: ground  # ") && draft.contains("or at z = 0 of clouds that have nothing below"),
+        "{draft}"
+    );
+    let ground = played(&log, "ego").clouds[0].2.z[0];
+    assert!(ground.abs() < 0.01, "{ground}");
 }
 
 const TRUTH: &str = "    truth: /objects\n";

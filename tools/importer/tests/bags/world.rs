@@ -32,6 +32,16 @@ pub fn points() -> Vec<[f32; 3]> {
 
 /// Fields as Hesai's driver has them, with doubles of absolute time.
 pub fn sweep(topic: &'static str, log_time: Nanos, stamp: Nanos, frame: &'static str) -> Recorded {
+    sweep_with(topic, [log_time, stamp], frame, points())
+}
+
+/// The same of other points.
+pub fn sweep_with(
+    topic: &'static str,
+    [log_time, stamp]: [Nanos; 2],
+    frame: &'static str,
+    points: Vec<[f32; 3]>,
+) -> Recorded {
     let fields: Vec<Field> = vec![
         ("x", 0, FLOAT32),
         ("y", 4, FLOAT32),
@@ -40,8 +50,8 @@ pub fn sweep(topic: &'static str, log_time: Nanos, stamp: Nanos, frame: &'static
         ("ring", 16, UINT16),
         ("timestamp", 18, FLOAT64),
     ];
-    let count = points().len() as f64;
-    let row = points().into_iter().enumerate().flat_map(|(k, point)| {
+    let count = points.len() as f64;
+    let row = points.into_iter().enumerate().flat_map(|(k, point)| {
         let time = (stamp as f64 + 90e6 * k as f64 / count) / 1e9;
         let mut bytes: Vec<u8> = point.iter().flat_map(|v| v.to_le_bytes()).collect();
         bytes.extend(((k % 100) as f32).to_le_bytes());

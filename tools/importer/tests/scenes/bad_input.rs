@@ -62,6 +62,27 @@ fn all_that_is_missing_or_damaged_is_listed_at_once_and_can_be_left_out() {
 }
 
 #[test]
+fn what_is_no_regular_file_is_refused_and_not_waited_for() {
+    let (_dir, data, out) = made(&OPV2V);
+    for name in ["641/000070.pcd", "650/000070.yaml"] {
+        let pipe = data.join("scene").join(name);
+        fs::remove_file(&pipe).unwrap();
+        let made = std::process::Command::new("mkfifo").arg(&pipe).status().unwrap();
+        assert!(made.success());
+    }
+    let device = data.join("scene/-1/000070.pcd");
+    fs::remove_file(&device).unwrap();
+    std::os::unix::fs::symlink("/dev/zero", &device).unwrap();
+    let error = import("opv2v", &data, &out, &[]).unwrap_err();
+    for line in [
+        "2 × a named pipe, expected a file; put the file itself there\n    scene/641/000070.pcd\n    scene/650/000070.yaml",
+        "1 × a device, expected a file; put the file itself there\n    scene/-1/000070.pcd",
+    ] {
+        assert!(error.contains(line), "{line} is not in\n{error}");
+    }
+}
+
+#[test]
 fn a_file_that_says_something_else_is_refused_by_its_field() {
     let (_dir, data, out) = made(&OPV2V);
     let file = data.join("scene/641/000070.yaml");

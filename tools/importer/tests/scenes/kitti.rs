@@ -85,6 +85,16 @@ fn poses_points_boxes_and_times_come_back() {
     make(&data, 4);
     let summary = &import("kitti", &data, &out, &[]).unwrap()[0];
     assert_eq!((summary.frames, summary.dropped_labels), (4, 4), "{summary}");
+    let said = summary.to_string();
+    assert!(
+        said.contains("assumed: stamps: times of the data set count from 1 January 2020")
+            && said.contains("poses.txt has poses of the left camera"),
+        "{said}"
+    );
+    assert!(
+        !said.contains("numbers rise") && !said.contains("without poses.txt"),
+        "{said}"
+    );
     let (log, found) = read(&out);
     assert_eq!(log.info().agents[0].name, "cav_1");
     for (frame, ((_, stamp), read)) in found.iter().enumerate() {
@@ -136,7 +146,13 @@ fn frames_without_poses_are_each_at_the_origin_and_what_is_damaged_is_named() {
     for name in ["poses.txt", "times.txt"] {
         fs::remove_file(data.join(name)).unwrap();
     }
-    import("kitti", &data, &out, &[]).unwrap();
+    let said = import("kitti", &data, &out, &[]).unwrap()[0].to_string();
+    assert!(
+        said.contains("numbers rise by 1 each 0.1000 s")
+            && said.contains("without poses.txt each frame is at the origin"),
+        "{said}"
+    );
+    assert!(!said.contains("first pose"), "{said}");
     let (_, found) = read(&out);
     assert!(
         found

@@ -174,6 +174,23 @@ fn files_of_arrays_have_their_boxes_and_poses_beside_them() {
     let out = dir.path().join("out.mcap");
     import("numpy", &scene, &out, &[]).unwrap();
     compare_all(&out, "Car");
+    let boxes = scene.join(agents()[0].folder).join("000001_boxes.npy");
+    let whole = fs::read(&boxes).unwrap();
+    fs::remove_file(&boxes).unwrap();
+    assert!(
+        std::process::Command::new("mkfifo")
+            .arg(&boxes)
+            .status()
+            .unwrap()
+            .success()
+    );
+    let error = import("numpy", &scene, &out, &[]).unwrap_err();
+    assert!(
+        error.contains("a named pipe, expected a file") && error.contains("000001_boxes.npy"),
+        "labels are not left out: {error}"
+    );
+    fs::remove_file(&boxes).unwrap();
+    write(&boxes, &whole);
     let error = {
         write(&scene.join("2/poses.npy"), &npy("<f8", "2, 7", &[0; 112]));
         import("numpy", &scene, &out, &[]).unwrap_err()
@@ -236,12 +253,12 @@ fn what_an_archive_lacks_or_has_wrong_is_named() {
         (
             "points",
             Some(npy("<f4", "2, 2", &[0; 16])),
-            "array `points`: expected a matrix of 3 to 16 columns, found the shape [2, 2]",
+            "1 × damaged cloud\n    scene/1/000007.npz: array `points`: expected a matrix of 3 to 16 columns, found the shape [2, 2]",
         ),
         (
             "boxes",
             Some(npy("<f8", "1, 6", &[0; 48])),
-            "boxes: expected a matrix of 7 columns, found the shape [",
+            "1 × damaged labels\n    scene/1/000007.npz: boxes: expected a matrix of 7 columns, found the shape [",
         ),
         (
             "boxes",
@@ -257,7 +274,8 @@ fn what_an_archive_lacks_or_has_wrong_is_named() {
         (
             "pose",
             Some(npy("<f4", "2, 8", &[0; 64])),
-            "array `pose`: expected a pose of 4×4, 3×4 or 7 numbers (x, y, z, qx, qy, qz, qw), found the shape [2, 8] of float32",
+            "1 × damaged pose\n    scene/1/000007.npz: array `pose`: expected a pose of 4×4, 3×4 or 7 numbers (x, y, z, qx, qy, qz, qw), found \
+             the shape [2, 8] of float32",
         ),
     ];
     for (name, other, expected) in cases {
@@ -342,9 +360,27 @@ fn what_an_archive_lacks_or_has_wrong_is_named() {
     fs::create_dir_all(dir.path().join("scene/1")).unwrap();
     let error = import("numpy", dir.path(), &dir.path().join("out.mcap"), &[]).unwrap_err();
     assert!(error.contains("000000.npz") && error.contains("found none"), "{error}");
+    for (name, call) in [("000000.npz", "numpy.savez(FILE"), ("000000.npy", "numpy.save(FILE")] {
+        let dir = tempfile::tempdir().unwrap();
+        write(
+            &dir.path().join("scene/1").join(name),
+            b"\x80\x04\x95\x0b\x00\x00\x00\x00\x00\x00\x00}\x94\x8c\x01a\x94K\x01s.",
+        );
+        write(
+            &dir.path().join("scene/1/poses.npy"),
+            &npy("<f8", "1, 7", &doubles(&[0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 1.0])),
+        );
+        let error = import("numpy", dir.path(), &dir.path().join("out.mcap"), &[]).unwrap_err();
+        for part in [name, "found a pickle of Python, which is never loaded", call] {
+            assert!(error.contains(part), "no `{part}` in {error}");
+        }
+    }
     write(&dir.path().join("scene/1/000000.npz"), b"PK\x03\x04 half");
     let error = import("numpy", dir.path(), &dir.path().join("out.mcap"), &[]).unwrap_err();
-    assert!(error.contains("no such archive"), "{error}");
+    assert!(
+        error.contains("no such archive") && error.contains("1 × damaged arrays"),
+        "{error}"
+    );
 }
 
 #[test]

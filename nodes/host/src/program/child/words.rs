@@ -80,6 +80,17 @@ impl Child {
         self.quoted(format!("{reason}; {ended}"))
     }
 
+    /// What a program says that refuses its settings.
+    pub(super) fn refused(&mut self, reason: &str) -> String {
+        self.calls = None;
+        // It has nothing left to do.
+        if self.exited(Duration::from_secs(2)).is_none() {
+            self.stop();
+        }
+        let mend = missing_module(reason).map_or(String::new(), |mend| format!("; {mend}"));
+        format!("program `{}`: {reason}{mend}", self.program)
+    }
+
     /// What is known, with what the program said on standard error.
     fn quoted(&self, known: String) -> String {
         let until = Instant::now() + Duration::from_secs(1);

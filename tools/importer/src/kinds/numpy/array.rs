@@ -3,6 +3,7 @@
 use std::io::{Cursor, Read as _};
 use std::path::Path;
 
+use realo_bags::{PICKLE, is_pickle};
 use realo_documents::shown;
 use zip::ZipArchive;
 use zip::result::ZipError;
@@ -118,6 +119,7 @@ impl Array {
     /// The same, without its name.
     pub fn parse(bytes: &[u8]) -> Result<Self, String> {
         let Some(rest) = bytes.strip_prefix(MAGIC) else {
+            not_pickled(bytes, "an array of numpy", "numpy.save(FILE, array)")?;
             return Err("expected an array of numpy, as numpy.save writes it, found other bytes".into());
         };
         let cut = || "expected the head of an array, found less; fetch the file anew".to_string();
@@ -308,6 +310,16 @@ fn items(bytes: &[u8], item: Item, is_big: bool, is_fortran: bool, shape: Vec<us
     Ok(Array { shape, items })
 }
 
+/// Refuses a pickle by its first bytes; none of it is run.
+fn not_pickled(bytes: &[u8], expected: &str, save: &str) -> Result<(), String> {
+    match is_pickle(bytes) {
+        true => Err(format!(
+            "expected {expected}, found {PICKLE}; where you trust it, load it in Python, and save what it holds by {save}"
+        )),
+        false => Ok(()),
+    }
+}
+
 /// The numbers of a matrix whose columns lie one after another, row by row.
 fn in_order(numbers: Vec<f64>, is_fortran: bool, shape: &[usize]) -> Result<Vec<f64>, String> {
     match (is_fortran, shape) {
@@ -333,7 +345,14 @@ impl Arrays {
     /// # Errors
     /// A file that is none.
     pub fn read(path: &Path) -> Result<Self, ImportError> {
-        let archive = ZipArchive::new(Cursor::new(read(path)?));
+        let bytes = read(path)?;
+        not_pickled(
+            &bytes,
+            "arrays as numpy.savez writes them",
+            "numpy.savez(FILE, points=points, pose=pose, boxes=boxes)",
+        )
+        .map_err(|reason| ImportError::content(path, reason))?;
+        let archive = ZipArchive::new(Cursor::new(bytes));
         archive.map(|archive| Arrays { archive }).map_err(|error| {
             let reason = format!("expected arrays as numpy.savez writes them, found no such archive ({error}); fetch it anew if it was cut");
             ImportError::content(path, reason)
@@ -422,6 +441,11 @@ mod tests {
     fn what_is_no_array_of_numbers_is_refused_with_the_cause() {
         for (file, expected) in [
             (b"PK\x03\x04".to_vec(), "expected an array of numpy"),
+            (
+                b"\x80\x04\x95".to_vec(),
+                "found a pickle of Python, which is never loaded, as loading one runs what is in it; where you trust it, load it in \
+                 Python, and save what it holds by numpy.save(FILE, array)",
+            ),
             (npy(&head("|O", "False", "1,"), &[0; 8]), "allow_pickle=False"),
             (
                 npy(&head("<f4", "False", "2, 2"), &[0; 12]),
