@@ -290,7 +290,10 @@ fn the_doctor_measures_the_rate_of_a_graph() {
         said.starts_with("note rate: this machine does ") && said.contains("of 10.0 Hz: play with `--rate 0."),
         "{said}"
     );
-    assert!(said.contains("the slowest, `fusion.fusion`, takes 4"), "{said}");
+    // On a busy machine it takes longer.
+    let taken = said.split_once("the slowest, `fusion.fusion`, takes ");
+    let ms = taken.and_then(|(_, rest)| rest.split(' ').next()?.parse::<f64>().ok());
+    assert!(ms.is_some_and(|ms| ms >= 400.0), "{said}");
 }
 
 #[test]

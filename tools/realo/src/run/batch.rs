@@ -166,6 +166,10 @@ impl Batch {
         let mut unfinished = None;
         for (number, ended) in open.into_iter().zip(ended) {
             let Err(reason) = ended else { continue };
+            // A signal may come when all is written, and before the run has said so.
+            if reason.is::<Unfinished>() && self.plans[number].out.join(realo_results::RESULT_FILE).is_file() {
+                continue;
+            }
             failed.insert(number);
             let name = self.plans[number].name.clone();
             match reason.is::<Unfinished>() {
