@@ -316,6 +316,9 @@ impl Filter {
         self.agreement.odometer.advance(stamp);
         if let Some(fault) = self.track.fix(stamp, fix, &self.agreement.odometer, rules) {
             self.faults.note(fault, stamp);
+            if fault == Fault::WheelTrack {
+                self.give_wheels_up(stamp);
+            }
         }
     }
 
