@@ -49,7 +49,7 @@ pub(crate) const SCAN_FEW_POINTS: Counter = Counter::loss(
     "scan_few_points",
     "sweeps with too few points for the map (`source=map`)",
     "sweeps have too few points to be found on the map",
-    "look at the sensor: `realo info` lists points by sweep",
+    "look at the sensor, and at a picture of the sweep by `realo render`",
 );
 pub(crate) const SCAN_OFF_MAP: Counter = Counter::loss(
     "scan_off_map",

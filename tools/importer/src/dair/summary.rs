@@ -31,6 +31,10 @@ pub struct Summary {
     pub placeholders_dropped: usize,
     /// Sweeps that stand in several pairs and were taken once.
     pub repeated_sweeps: usize,
+    /// What is assumed, a line each.
+    pub assumed: Vec<String>,
+    /// How well the clouds of both fit each other in the map; `None` where too little is seen by both.
+    pub overlap: Option<String>,
     /// How the intensities of each agent became bytes.
     pub intensities: Vec<String>,
     /// Intensities that were limited to 0…255 after they were scaled.
@@ -50,6 +54,12 @@ impl fmt::Display for Summary {
             "dropped: {} placeholder labels, {} repeated sweeps",
             self.placeholders_dropped, self.repeated_sweeps
         )?;
+        for line in &self.assumed {
+            write!(f, "\nassumed: {line}")?;
+        }
+        if let Some(overlap) = &self.overlap {
+            write!(f, "\n{overlap}")?;
+        }
         for rule in &self.intensities {
             write!(f, "\nintensities {rule}")?;
         }
