@@ -210,8 +210,10 @@ const FAULTS: [Counter; Fault::ALL.len()] = [
     ),
     certain(
         "wheel_track",
-        "times in which the wheels contradict the track of GNSS, or turn against the IMU's accelerations",
-        "times were found in which the wheels contradict the track of GNSS, or turn against the IMU's accelerations",
+        "times in which the wheels contradict the track of GNSS or of sweeps on the map, or turn against the IMU's accelerations; speeds of \
+         wheels that were not used after that",
+        "times were found in which the wheels contradict the track of GNSS or of sweeps on the map, or turn against the IMU's accelerations; \
+         they were not used until they agreed",
         "speeds are m/s, and positive forwards",
     ),
     fault(
