@@ -293,7 +293,7 @@ fn the_doctor_measures_the_rate_of_a_graph() {
     // On a busy machine it takes longer.
     let taken = said.split_once("the slowest, `fusion.fusion`, takes ");
     let ms = taken.and_then(|(_, rest)| rest.split(' ').next()?.parse::<f64>().ok());
-    assert!(ms.is_some_and(|ms| ms >= 400.0), "{said}");
+    assert!(ms.is_some_and(|ms| (400.0..20_000.0).contains(&ms)), "{said}");
 }
 
 #[test]

@@ -231,19 +231,21 @@ impl Normal {
 }
 
 impl Stated {
-    /// The noise of objects with the pose's own in the place of a weak one.
+    /// The noise of objects with the pose's own in the place of a weak one, which it is at most: nobody is moved farther for stating nothing.
     fn prior(&self, noise: &Noise) -> Noise {
         Noise {
-            pose_m: self.place_m,
-            pose_rad: self.heading_rad.max(SURE_RAD),
+            pose_m: self.place_m.min(noise.pose_m),
+            pose_rad: self.heading_rad.min(noise.pose_rad).max(SURE_RAD),
             ..*noise
         }
     }
+}
 
-    /// How unlikely a motion is, as a sum of squares in standard deviations.
+impl Noise {
+    /// How unlikely a motion is by the noise of poses, as a sum of squares in standard deviations.
     fn cost(&self, shift: &Shift) -> f64 {
-        let turns = shift.turn / self.heading_rad.max(SURE_RAD);
-        shift.by.norm_squared() / (self.place_m * self.place_m) + turns * turns
+        let turns = shift.turn / self.pose_rad;
+        shift.by.norm_squared() / (self.pose_m * self.pose_m) + turns * turns
     }
 }
 
@@ -286,11 +288,13 @@ pub fn fit(scene: &Scene, refined: &Shift, noise: &Noise, stated: Option<&Stated
             best = (cost + worth, shift);
         }
     }
+    let mut prior = *noise;
     if let Some(stated) = stated.filter(|stated| stated.place_m > noise.place_m) {
-        let (cost, shift) = settle(&stated.prior(noise), *refined, Freedom::Turn);
-        let cost = cost + stated.cost(&shift);
+        let as_stated = stated.prior(noise);
+        let (cost, shift) = settle(&as_stated, *refined, Freedom::Turn);
+        let cost = cost + as_stated.cost(&shift);
         if cost < best.0 {
-            best = (cost, shift);
+            (best, prior) = ((cost, shift), as_stated);
         }
     }
     let shift = best.1;
@@ -303,7 +307,7 @@ pub fn fit(scene: &Scene, refined: &Shift, noise: &Noise, stated: Option<&Stated
         })
         .sum();
     let residual = squares / pairs.len().max(1) as f64;
-    let information = Normal::of(scene, &shift, &pairs, noise).information;
+    let information = Normal::of(scene, &shift, &pairs, &prior).information;
     let spread = (residual / (noise.place_m * noise.place_m)).max(1.0);
     let covariance = information.try_inverse().unwrap_or_else(Matrix3::identity) * spread;
     Ok(Fit {

@@ -131,10 +131,15 @@ const FAULTS: [Counter; Fault::ALL.len()] = [
     ),
     certain(
         "imu_track",
-        "times in which turns or accelerations of the IMU contradict the track of GNSS or of sweeps on the map, and the wheels; IMU samples \
-         that were not used after sweeps did",
+        "times in which turns or accelerations of the IMU contradict the track of GNSS or of sweeps on the map, and the wheels",
         "times were found in which turns or accelerations of the IMU contradict the track of GNSS or of sweeps on the map, and the wheels",
         "correct the signs and axes of the IMU's rates and forces, or its frame in `/tf_static`",
+    ),
+    certain(
+        "imu_excluded",
+        "IMU samples that were not used, because sweeps on the map contradicted the gyroscopes not long ago",
+        "samples of the IMU were not used, because sweeps on the map contradicted the gyroscopes",
+        "correct the signs and axes of the IMU's rates, or its frame in `/tf_static`",
     ),
     fault(
         "gnss_not_finite",
@@ -210,10 +215,14 @@ const FAULTS: [Counter; Fault::ALL.len()] = [
     ),
     certain(
         "wheel_track",
-        "times in which the wheels contradict the track of GNSS or of sweeps on the map, or turn against the IMU's accelerations; speeds of \
-         wheels that were not used after that",
-        "times were found in which the wheels contradict the track of GNSS or of sweeps on the map, or turn against the IMU's accelerations; \
-         they were not used until they agreed",
+        "times in which the wheels contradict the track of GNSS or of sweeps on the map, or turn against the IMU's accelerations",
+        "times were found in which the wheels contradict the track of GNSS or of sweeps on the map, or turn against the IMU's accelerations",
+        "speeds are m/s, and positive forwards",
+    ),
+    certain(
+        "wheel_excluded",
+        "speeds of the wheels that were not used, because they contradicted the track of GNSS or of sweeps not long ago",
+        "speeds of the wheels were not used, because they contradicted the track of GNSS or of sweeps not long ago",
         "speeds are m/s, and positive forwards",
     ),
     fault(

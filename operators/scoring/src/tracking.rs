@@ -88,7 +88,7 @@ pub struct TrackScores {
     /// an earlier version.
     #[serde(default)]
     pub identity_changes: Option<u64>,
-    /// Those of them to an identity under which another object was found before: tracks that swap.
+    /// Those of them to an identity under which another object was found last: tracks that swap.
     #[serde(default)]
     pub identity_swaps: Option<u64>,
 }

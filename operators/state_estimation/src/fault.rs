@@ -40,9 +40,10 @@ faults! {
     ImuGap "imu_gap",
     /// A fix with no usable IMU sample in the second before it.
     ImuSilent "imu_silent",
-    /// The turns or accelerations of the IMU contradict the track of GNSS or scans, and the wheels; a sample that is not used after scans
-    /// did.
+    /// The turns or accelerations of the IMU contradict the track of GNSS or scans, and the wheels.
     ImuTrack "imu_track",
+    /// An IMU sample that is not used, because scans contradicted the gyro not long ago.
+    ImuExcluded "imu_excluded",
     /// A GNSS fix with NaN or infinity, or a variance that is not above 0.
     GnssNotFinite "gnss_not_finite",
     /// A GNSS fix that is not on Earth, or farther from the map's origin than a map reaches.
@@ -67,8 +68,10 @@ faults! {
     WheelGate "wheel_gate",
     /// Motion across the wheels that chance does not explain, such as a skid.
     WheelSkid "wheel_skid",
-    /// The wheels contradict the track of GNSS, or turn against the IMU's accelerations.
+    /// The wheels contradict the track of GNSS or scans, or turn against the IMU's accelerations.
     WheelTrack "wheel_track",
+    /// A wheel speed that is not used, because the wheels contradicted a track not long ago.
+    WheelExcluded "wheel_excluded",
     /// A scan's pose with NaN or infinity.
     ScanNotFinite "scan_not_finite",
     /// A scan's information that is not symmetric, or has negative eigenvalues.

@@ -174,7 +174,7 @@ impl Filter {
                 time = until;
             }
         }
-        let known = self.imu.as_ref().filter(|_| self.misled.is_none());
+        let known = self.imu.as_ref().filter(|_| !self.is_misled(to));
         let rate = known.map(|(sample, _)| sample.angular_rate);
         while time < to {
             let step = (to - time).min(COAST_STEP);
@@ -191,10 +191,8 @@ impl Filter {
 
     fn take_imu(&mut self, sample: &ImuSample, rules: &Rules) -> Result<(), Fault> {
         self.monitor.look(sample, self.agreement.odometer.speed, rules)?;
-        let is_misled = self.misled.is_some_and(|at| sample.stamp - at <= MISLED);
-        if !is_misled {
-            self.advance(sample.stamp, Some(sample), rules);
-        }
+        let is_misled = self.is_misled(sample.stamp);
+        self.advance(sample.stamp, Some(sample).filter(|_| !is_misled), rules);
         let period = self.heard.replace(sample.stamp).map(|last| sample.stamp - last);
         let gap = period.is_some_and(|period| period > HOLD);
         let period = period.map_or(0.01, |period| seconds(period.min(HOLD)));
@@ -204,7 +202,7 @@ impl Filter {
             self.start.imu(sample, period, rules);
         }
         if is_misled {
-            return Err(Fault::ImuTrack);
+            return Err(Fault::ImuExcluded);
         }
         if let Some(belief) = &mut self.belief {
             belief.hear();
@@ -221,7 +219,7 @@ impl Filter {
         self.track.wheel(stamp, speed);
         self.rolling.wheel(stamp, speed);
         if self.slipped.is_some_and(|at| stamp - at <= MISLED) {
-            return Err(Fault::WheelTrack);
+            return Err(Fault::WheelExcluded);
         }
         self.agreement.wheel(stamp, speed);
         let rate = self.rate(stamp);
@@ -283,7 +281,8 @@ impl Filter {
         let unit = libm::hypot(rules.noise.gnss[0], rules.noise.gnss[1]);
         match outcome {
             Outcome::Gated => self.witness.contradict(stamp, residual.xy(), unit),
-            _ => self.witness.support(stamp),
+            Outcome::Used => self.witness.support(stamp),
+            Outcome::Numerical => {}
         }
         let is_alone = !self.scans.is_used(stamp, rules.limits.gnss_conflict);
         if is_alone && self.witness.is_outvoted() {
@@ -317,7 +316,8 @@ impl Filter {
         if let Some(fault) = self.track.fix(stamp, fix, &self.agreement.odometer, rules) {
             self.faults.note(fault, stamp);
             if fault == Fault::WheelTrack {
-                self.give_wheels_up(stamp);
+                let is_supported = self.fixes.supports(stamp, RECENT);
+                self.give_wheels_up(stamp, is_supported, Fault::GnssConflict);
             }
         }
     }
@@ -382,20 +382,19 @@ impl Filter {
         self.advance(stamp, None, rules);
         self.agreement.odometer.advance(stamp);
         if self.rolling.scan(stamp, scan, self.agreement.odometer.heading, rules) {
-            self.give_wheels_up(stamp);
+            self.faults.note(Fault::WheelTrack, stamp);
+            let is_supported = self.scans.is_used(stamp, RECENT);
+            self.give_wheels_up(stamp, is_supported, Fault::ScanConflict);
         } else if self.rolling.is_right() {
             self.slipped = None;
         }
         self.agreement.scan(stamp, scan, rules);
-        let mut taken = self.correct_by_scan(stamp, scan, rules);
         if self.agreement.course.is_gyro_wrong() {
             self.faults.note(Fault::ImuTrack, stamp);
             self.misled = Some(stamp);
-            if taken == Err(Fault::ScanGate) {
-                taken = self.correct_misled(stamp, scan, rules);
-            }
+            self.doubt_misled(scan, rules);
         }
-        match taken {
+        match self.correct_by_scan(stamp, scan, rules) {
             Err(Fault::ScanGate) if self.is_overruled(stamp, scan, rules) => {
                 let begun = Start::at_scan(&self.agreement.odometer, scan, rules);
                 self.fixes = Source::default();
@@ -406,17 +405,24 @@ impl Filter {
         }
     }
 
-    /// Goes on without wheels. What they led astray, so that scans are refused, begins anew.
-    fn give_wheels_up(&mut self, stamp: Nanos) {
-        let are_used = self.slipped.replace(stamp).is_none_or(|at| stamp - at > MISLED);
-        if are_used {
-            self.faults.note(Fault::WheelTrack, stamp);
-            self.agreement.odometer.speed = None;
-            self.resting = None;
+    /// Goes on without wheels. An estimate that what contradicts them does not support begins anew, by this fault.
+    fn give_wheels_up(&mut self, stamp: Nanos, is_supported: bool, fault: Fault) {
+        let was_given_up = self.slipped.replace(stamp).is_some_and(|at| stamp - at <= MISLED);
+        if was_given_up {
+            return;
         }
-        if are_used && !self.scans.is_used(stamp, RECENT) {
-            self.restart(Fault::ScanConflict, stamp);
+        self.agreement.odometer.speed = None;
+        self.resting = None;
+        match (&self.belief, is_supported) {
+            (None, _) => self.start = Start::after(self.start.after_loss),
+            (Some(_), false) => self.restart(fault, stamp),
+            (Some(_), true) => {}
         }
+    }
+
+    /// Whether scans contradicted the gyro not long ago.
+    fn is_misled(&self, stamp: Nanos) -> bool {
+        self.misled.is_some_and(|at| stamp - at <= MISLED)
     }
 
     fn correct_by_scan(&mut self, stamp: Nanos, scan: &LocalScan, rules: &Rules) -> Result<(), Fault> {
@@ -437,20 +443,17 @@ impl Filter {
         used(outcome, Fault::ScanGate)
     }
 
-    /// Takes a scan's pose for an estimate that a wrong gyro led astray, unless it is farther off than GNSS may be.
-    fn correct_misled(&mut self, stamp: Nanos, scan: &LocalScan, rules: &Rules) -> Result<(), Fault> {
-        let Some(belief) = &mut self.belief else {
-            return Err(Fault::ScanGate);
-        };
-        let residual = models::scan_pose(belief, rules, scan).residual;
-        let off = residual.xy().norm();
-        if off > rules.gnss_bias() {
-            return Err(Fault::ScanGate);
+    /// Widens an estimate that a wrong gyro led astray so far that a scan would be refused, unless it is farther off than GNSS may be.
+    fn doubt_misled(&mut self, scan: &LocalScan, rules: &Rules) {
+        let Some(belief) = &mut self.belief else { return };
+        let innovation = models::scan_pose(belief, rules, scan);
+        let off = innovation.residual.xy().norm();
+        if off > rules.gnss_bias() || belief.clone().correct(&innovation) != Outcome::Gated {
+            return;
         }
         let [place, tilt, heading] = LED;
-        let doubt = Vector3::new(tilt, tilt, heading + residual[5].abs());
+        let doubt = Vector3::new(tilt, tilt, heading + innovation.residual[5].abs());
         belief.doubt(&Vector3::new(off + place, off + place, place), &doubt);
-        self.correct_by_scan(stamp, scan, rules)
     }
 
     /// Whether scans are to be believed rather than what GNSS says: they agree with wheels and gyro, and GNSS is no farther off than it

@@ -25,7 +25,10 @@ const OFTEN: u32 = 2;
 /// Wheels beside scans.
 #[derive(Clone, Debug, Default, PartialEq)]
 pub(crate) struct Rolling {
+    /// When wheels spoke last, and their speed, m/s.
     wheel: Option<(Nanos, f64)>,
+    /// Until when it is part of the way.
+    until: Nanos,
     /// How far the wheels rolled, m: less where they rolled back.
     way: f64,
     run: Option<Run>,
@@ -64,19 +67,18 @@ impl Rolling {
         self.wheel = Some((stamp, speed));
     }
 
+    /// Moves on; what wheels said that are silent since is not known any more.
     fn advance(&mut self, to: Nanos) {
-        if let Some((stamp, speed)) = &mut self.wheel {
-            self.way += *speed * to_seconds(to - *stamp);
-            *stamp = to;
+        if let Some((last, speed)) = self.wheel {
+            self.way += speed * to_seconds(to - self.until);
+            self.wheel = self.wheel.filter(|_| to_seconds(to - last) <= SOON_S);
         }
+        self.until = to;
     }
 
     /// Takes a scan's pose; `heading`: by the gyro, rad from any axis. Says whether the wheels are wrong.
     pub fn scan(&mut self, stamp: Nanos, scan: &LocalScan, heading: f64, rules: &Rules) -> bool {
         self.advance(stamp);
-        if self.wheel.is_none() {
-            return false;
-        }
         let axle = rules.body_from_imu * Point3::from(rules.axle_in_imu);
         let here = Point {
             stamp,
@@ -97,7 +99,10 @@ impl Rolling {
         });
         let rolled = self.way - run.from.1;
         let longer = rolled.abs().max(run.moved.abs());
-        if to_seconds(stamp - run.from.0) >= SPAN.0 && longer >= SPAN.1 {
+        if self.wheel.is_none() {
+            (self.against, self.agreeing) = (0, 0);
+            (run.from, run.moved) = ((stamp, self.way), 0.0);
+        } else if to_seconds(stamp - run.from.0) >= SPAN.0 && longer >= SPAN.1 {
             let is_off = (rolled - run.moved).abs() > OFF.0 + OFF.1 * longer;
             let counted = |before: u32, is: bool| if is { before.saturating_add(1) } else { 0 };
             (self.against, self.agreeing) = (counted(self.against, is_off), counted(self.agreeing, !is_off));

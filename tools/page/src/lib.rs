@@ -210,6 +210,12 @@ pub fn page(request: &Request, draw: &Draw, watch: &Watch) -> Result<Page, PageE
     for (part, (_, folder, run)) in document.runs.iter_mut().zip(&runs).take(MOST_GRAPHS) {
         part.picture = draw(folder, run);
     }
+    if runs.len() > MOST_GRAPHS {
+        document.left_out.push(format!(
+            "the graphs of the first {MOST_GRAPHS} of {} runs are drawn; `realo graph RUN` draws any",
+            runs.len()
+        ));
+    }
     let title = document.title();
     let around = html(&title, "", "").len();
     let mut json = document.fitted(request.most_bytes.saturating_sub(around))?;

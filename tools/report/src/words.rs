@@ -25,7 +25,7 @@ const WORDS: &[(&str, &str)] = &[
     ),
     (
         "tracks that swap",
-        "changes of identity to one under which another object was found before",
+        "changes of identity to one under which another object was found last",
     ),
     (
         "velocity error",

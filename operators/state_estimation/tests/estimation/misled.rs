@@ -109,7 +109,6 @@ fn a_gyro_or_an_accelerometer_that_stands_still_alone_is_named_and_not_used() {
             let faults = estimator.faults();
             assert!(faults.count(Fault::ImuStuck) > 2_000, "{name}: {faults:?}");
             assert_eq!(estimator.stuck(), Some(part), "{name}");
-            println!("{name}: {}", said(&looks));
             honest(&looks, &name);
             if scans {
                 assert!(worst(&looks, 2.0, 0) < 0.5 && worst(&looks, 2.0, 1) < 16.0, "{name}");
@@ -137,7 +136,6 @@ fn fixes_that_were_off_at_the_start_are_outvoted_by_those_that_follow() {
         for until in [3.0, 5.0, 8.0] {
             let name = format!("off until {until} s, seed {seed}");
             let (estimator, looks) = drive(plan(false, seed), jumping(0.0, until));
-            println!("{name}: {:.2} m from 2.2 times on", worst(&looks, 2.2 * until, 0));
             // Nothing shows that they are off, until others come.
             let after: Vec<Look> = looks.into_iter().filter(|look| look.at > until + 0.5).collect();
             honest(&after, &name);
@@ -189,7 +187,6 @@ fn scans_show_a_gyro_that_turns_otherwise_than_they_do() {
                 other => other,
             });
             assert!(estimator.faults().count(Fault::ImuTrack) > 0, "{name}");
-            println!("{name}: {}", said(&looks));
             let usable = looks.iter().filter(|look| look.at > 2.0 && look.is_relied_on());
             assert!(usable.count() > 610, "{name}");
             assert!(worst(&looks, 2.0, 0) < 0.5 && worst(&looks, 2.0, 1) < 16.0, "{name}");
@@ -212,7 +209,6 @@ fn seconds_without_an_imu_in_a_bend_end_right_or_are_lost() {
                 other => other,
             });
             let after: Vec<Look> = looks.into_iter().filter(|look| look.at > from).collect();
-            println!("{name}: {}", said(&after));
             honest(&after, &name);
             assert!(worst(&after, from, 0) < 4.5, "{name}");
             assert!(worst(&after, to + 2.0, 1) < 5.0, "{name}");
@@ -226,6 +222,5 @@ fn seconds_without_an_imu_in_a_bend_end_right_or_are_lost() {
     }
     // A normal error is within two of its deviations in 95 of 100 cases.
     let inside = ratios.iter().filter(|ratio| **ratio < 2.0).count() as f64 / ratios.len() as f64;
-    println!("{inside:.3} of {} headings within two deviations", ratios.len());
     assert!(inside > 0.9, "{inside}");
 }

@@ -437,19 +437,20 @@ function machineWords() {
   return `${where}${isas.length ? `; kernels of the networks: ${isas.join(", ")}` : ""}.`;
 }
 
-/** How many of some stages lie before one of them on a run's graph, at most. */
-function depth(run, stage, stages, above = []) {
-  const inputs = Object.entries(run.graph[stage] || {}).filter(([key]) => key.startsWith("inputs.")).flatMap(([, from]) => from.split(/[\s,]+/));
-  const before = new Set(inputs.map((from) => from.split("/")[0]).filter((from) => stages.includes(from) && from !== stage && !above.includes(from)));
-  return Math.max(0, ...[...before].map((from) => 1 + depth(run, from, stages, [...above, stage])));
-}
-
-/** The stages on the way of the ego's boxes, in the order of the way. */
+/** The stages on the way of the ego's boxes, in the order of the way: each after all of them that it takes from. */
 function stagesInOrder() {
-  const MOST = 16, deep = new Map();
+  const deep = new Map();
   for (const run of DOC.runs) {
     const stages = Object.keys(run.timing.joining);
-    for (const stage of stages) deep.set(stage, Math.max(deep.get(stage) || 0, stages.length > MOST ? 0 : depth(run, stage, stages)));
+    const own = new Map(stages.map((stage) => [stage, 0]));
+    const inputs = (stage) => Object.entries(run.graph[stage] || {}).filter(([key]) => key.startsWith("inputs."))
+      .flatMap(([, from]) => from.split(/[\s,]+/)).map((from) => from.split("/")[0]).filter((from) => own.has(from) && from !== stage);
+    const before = new Map(stages.map((stage) => [stage, [...new Set(inputs(stage))]]));
+    // As many rounds as the longest way has steps; a circle ends with them.
+    for (let round = 1; round < stages.length; round++) {
+      for (const stage of stages) own.set(stage, Math.max(own.get(stage), ...before.get(stage).map((from) => Math.min(own.get(from) + 1, stages.length))));
+    }
+    for (const [stage, depth] of own) deep.set(stage, Math.max(deep.get(stage) || 0, depth));
   }
   return [...deep.keys()].sort((a, b) => deep.get(a) - deep.get(b));
 }

@@ -1048,26 +1048,36 @@ function onKey(event) {
 const alsoKept = [];
 let keeping = 0;
 function keepPlace() {
-  if (byId("player").hidden) return;
   clearTimeout(keeping);
   keeping = setTimeout(() => {
     const place = new URLSearchParams();
-    place.set("scene", state.scene);
-    place.set("sweep", seqNow());
-    place.set("runs", state.runs.join("."));
-    if (state.view !== "top") place.set("view", state.view);
-    if (state.follow) place.set("follow", 1);
-    if (state.klass) place.set("class", state.klass);
-    if (state.agent >= 0) place.set("agent", state.agent);
-    place.set("score", state.score);
-    place.set("iou", state.iou);
-    if (state.speed !== 1) place.set("speed", state.speed);
-    if (state.hidden.size) place.set("hide", [...state.hidden].join("."));
-    if (state.picked) place.set("pick", [state.picked.kind, state.picked.run, state.picked.seq, state.picked.index, state.picked.track].join("."));
     for (const { name, value } of alsoKept) if (value()) place.set(name, value());
-    place.set("at", [camera.x, camera.y, camera.scale, camera.turn, camera.tilt].map((value) => value.toFixed(2)).join(","));
+    if (!byId("player").hidden) keepSweep(place);
     try { history.replaceState(null, "", "#" + place); } catch { /* some viewers keep no address */ }
   }, 150);
+}
+
+/** What the player shows, as a part of the address. */
+function keepSweep(place) {
+  place.set("scene", state.scene);
+  place.set("sweep", seqNow());
+  place.set("runs", state.runs.join("."));
+  if (state.view !== "top") place.set("view", state.view);
+  if (state.follow) place.set("follow", 1);
+  if (state.klass) place.set("class", state.klass);
+  if (state.agent >= 0) place.set("agent", state.agent);
+  place.set("score", state.score);
+  place.set("iou", state.iou);
+  if (state.speed !== 1) place.set("speed", state.speed);
+  if (state.hidden.size) place.set("hide", [...state.hidden].join("."));
+  if (state.picked) place.set("pick", [state.picked.kind, state.picked.run, state.picked.seq, state.picked.index, state.picked.track].join("."));
+  place.set("at", [camera.x, camera.y, camera.scale, camera.turn, camera.tilt].map((value) => value.toFixed(2)).join(","));
+}
+
+/** Takes up what else the address keeps. */
+function takeOthers() {
+  const place = new URLSearchParams(location.hash.slice(1));
+  for (const { name, take } of alsoKept) take(place.get(name) || "");
 }
 
 /** Takes up the place that the address names; what it does not name stays. */
@@ -1098,7 +1108,6 @@ function takePlace() {
   const eye = (place.get("at") || "").split(",").map(Number);
   if (eye.length === 5 && eye.every(Number.isFinite)) [camera.x, camera.y, camera.scale, camera.turn, camera.tilt] = eye;
   [camera.scale, camera.tilt] = [within(camera.scale, ...SCALES), within(camera.tilt, ...TILTS)];
-  for (const { name, take } of alsoKept) take(place.get(name) || "");
   return true;
 }
 
@@ -1106,17 +1115,19 @@ function takePlace() {
 function changePlace() {
   const [before, score] = [state.scene, state.score];
   play(false);
+  takeOthers();
+  for (const again of new Set(alsoKept.map(({ again }) => again))) again();
   if (!takePlace()) return;
   judgedSweeps.clear();
   setUp();
   draw();
-  for (const { again } of alsoKept) again();
   if (state.scene !== before || state.score !== score) sceneOpened();
 }
 
 let sceneOpened = () => {};
 
 function startPlayer() {
+  takeOthers();
   if (!DOC.scenes.length || !DOC.scenes.some((one) => timeline(one).length && one.runs.length)) return;
   byId("player").hidden = false;
   if (takePlace()) {

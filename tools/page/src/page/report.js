@@ -111,8 +111,8 @@ let comparedWith = null;
 alsoKept.push({
   name: "beside",
   value: () => (known(comparedWith) ? String(comparedWith) : ""),
-  take: (text) => { comparedWith = DOC.runs[text] ? Number(text) : null; },
-  again: () => addedObjects(),
+  take: (text) => { comparedWith = /^\d+$/.test(text) && DOC.runs[text] ? Number(text) : null; },
+  again: addedObjects,
 });
 
 /** For each run of a scene the run beside it with which its objects are compared, `-1` where there is none. */
@@ -234,7 +234,7 @@ const ofCharts = (name, otherwise, known) => ({
   name: "charts-" + name,
   value: () => (asked[name] === otherwise ? "" : asked[name]),
   take: (text) => { asked[name] = known().includes(text) ? text : otherwise; },
-  again: () => charts(),
+  again: charts,
 });
 alsoKept.push(ofCharts("klass", "", classesOf), ofCharts("iou", DOC.iou, iousOf));
 
