@@ -1,6 +1,8 @@
 //! The columns of a table with a row for each run.
 
-use realo_results::{END_TO_END, Run, RunResult, Settings};
+use std::collections::BTreeMap;
+
+use realo_results::{END_TO_END, FinalBoxes, Run, RunResult, Settings};
 use realo_scoring::{Accuracy, Orders};
 
 use crate::cells::{NONE, age, count, fraction, kilobytes};
@@ -162,6 +164,14 @@ pub fn known_aps(run: &Run) -> Option<(Vec<&str>, Vec<String>)> {
     (!classes.is_empty() && classes.len() < accuracy.ap.len() && !ious.is_empty()).then_some((classes, means))
 }
 
+/// What is known of boxes that have no score: without truth an evaluator gives no class an AP.
+pub fn unscored_boxes(run: &Run) -> Option<&FinalBoxes> {
+    let accuracy = run.result.accuracy.iter();
+    let mut aps = accuracy.flat_map(|accuracy| accuracy.sorted.ap.values().flat_map(BTreeMap::values));
+    let is_scored = aps.any(Option::is_some);
+    run.result.boxes.as_ref().filter(|_| !is_scored)
+}
+
 /// The interval of mAP over logs; `None` with fewer than two.
 pub fn interval(run: &Run, iou: &str) -> Option<[f64; 2]> {
     let intervals = run.result.intervals.as_ref()?;
@@ -209,13 +219,8 @@ pub fn main(runs: &[&Run]) -> Vec<Column> {
         });
     }
     columns.add_known(["boxes", "per frame", "boxes_per_frame"], |run| {
-        let boxes = run.result.boxes.as_ref();
-        Cell::number(
-            boxes
-                .filter(|_| run.result.accuracy.is_none())
-                .map(|boxes| boxes.per_frame),
-            |mean| format!("{mean:.1}"),
-        )
+        let mean = unscored_boxes(run).map(|boxes| boxes.per_frame);
+        Cell::number(mean, |mean| format!("{mean:.1}"))
     });
     traffic(&mut columns);
     columns.classes(&ious, true);

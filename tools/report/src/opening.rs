@@ -3,7 +3,7 @@
 use realo_results::{END_TO_END, Run};
 
 use crate::cells::{NONE, age, count, kilobytes};
-use crate::columns::{OFFLINE, STATE, has_latency, known_aps, mean_aps, median_age, payload};
+use crate::columns::{OFFLINE, STATE, has_latency, known_aps, mean_aps, median_age, payload, unscored_boxes};
 use crate::text::{Align, one_line, paragraph, width_of, write_row};
 
 /// Between two columns.
@@ -51,7 +51,7 @@ fn numbers(run: &Run) -> [String; 5] {
         (_, Some((classes, known))) if classes.len() == 1 => format!("AP of {} {}", classes[0], known.join(" / ")),
         (_, Some((classes, known))) => format!("mAP of {} {}", classes.join(", "), known.join(" / ")),
         // Without scores the number of boxes is what is known of them.
-        (_, None) => match result.boxes.as_ref().filter(|_| result.accuracy.is_none()) {
+        (_, None) => match unscored_boxes(run) {
             Some(boxes) => format!("{:.1} boxes a sweep", boxes.per_frame),
             None => format!("mAP {NONE}"),
         },

@@ -15,7 +15,7 @@ use realo_schemas::Kind;
 use realo_scoring::Table;
 
 use crate::cells::{alarm, count, spread, values};
-use crate::columns::{OFFLINE, STATE};
+use crate::columns::{OFFLINE, STATE, unscored_boxes};
 use crate::foot::V2X_REAL;
 use crate::settings::{ISA, MODEL, POSE_SOURCE, PRECOMPUTED, PROGRAMS, PROJECT, RATE, SEED, SET, Setting, is_given};
 use crate::text::one_line;
@@ -316,9 +316,9 @@ fn frames(rows: &mut Rows, full: bool) {
 
 /// How many boxes were found: the main result of runs that are not scored.
 fn found(rows: &mut Rows, full: bool) {
-    let of = |run: &Run| {
-        let boxes = run.result.boxes.clone();
-        boxes.filter(|_| full || run.result.accuracy.is_none())
+    let of = |run: &Run| match full {
+        true => run.result.boxes.clone(),
+        false => unscored_boxes(run).cloned(),
     };
     rows.add("boxes: all / for each frame", |run| {
         let boxes = of(run)?;

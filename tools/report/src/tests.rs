@@ -115,10 +115,23 @@ fn a_run_without_truth_says_how_many_boxes_it_found() {
     let full = table(&[("late_fusion", &one)], true, 100);
     assert_eq!(cells(&full, label), ["3 / 1.5"]);
     assert_eq!(cells(&full, "Car"), ["2"]);
+    // An evaluator without truth gives a table without an AP; without an evaluator there is no table.
+    let mut silent = one.clone();
+    let sorted = &mut silent.result.accuracy.as_mut().unwrap().sorted;
+    sorted.mean_ap.values_mut().for_each(|mean| *mean = None);
+    let aps = sorted.ap.values_mut().flat_map(|ap| ap.values_mut());
+    aps.for_each(|ap| *ap = None);
     one.result.accuracy = None;
-    let unscored = table(&[("late_fusion", &one)], false, 100);
-    assert_eq!(cells(&unscored, label), ["3 / 1.5"]);
-    assert_eq!([cells(&unscored, "Car"), cells(&unscored, "Bus")], [["2"], ["1"]]);
+    for run in [&one, &silent] {
+        let unscored = table(&[("late_fusion", run)], false, 100);
+        assert_eq!(cells(&unscored, label), ["3 / 1.5"]);
+        assert_eq!([cells(&unscored, "Car"), cells(&unscored, "Bus")], [["2"], ["1"]]);
+        let opening = opening(&[("late_fusion", run)], &[], 100);
+        assert!(
+            opening.contains("1.5 boxes a sweep") && !opening.contains("mAP"),
+            "{opening}"
+        );
+    }
     let [name, value] = ["boxes", "boxes_per_frame"].map(|field| {
         let fields = fields(&[&one]);
         let found = fields.into_iter().find(|(name, _)| name == field);

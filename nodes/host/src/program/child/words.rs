@@ -84,11 +84,15 @@ impl Child {
     pub(super) fn refused(&mut self, reason: &str) -> String {
         self.calls = None;
         // It has nothing left to do.
-        if self.exited(Duration::from_secs(2)).is_none() {
-            self.stop();
-        }
+        let ended = match self.exited(Duration::from_secs(2)) {
+            Some(status) => format!("it ended with {status}"),
+            None => {
+                self.stop();
+                "it was stopped".into()
+            }
+        };
         let mend = missing_module(reason).map_or(String::new(), |mend| format!("; {mend}"));
-        format!("program `{}`: {reason}{mend}", self.program)
+        format!("program `{}`: {reason}{mend} ({ended})", self.program)
     }
 
     /// What is known, with what the program said on standard error.
