@@ -385,7 +385,7 @@ fn gyroscopes_that_stand_still_or_turn_otherwise_than_sweeps_leave_the_estimate_
     let path = folder.path().join("street.map");
     let street = street();
     map(&street, &path, 0.0);
-    for (is_stuck, counter) in [(true, "imu_stuck"), (false, "imu_track")] {
+    for (is_stuck, counter) in [(true, "imu_stuck"), (false, "imu_excluded")] {
         let mut run = Run::new("cav1", Source::Map, &path);
         let drive = run.drive(
             0..90,
@@ -402,6 +402,7 @@ fn gyroscopes_that_stand_still_or_turn_otherwise_than_sweeps_leave_the_estimate_
             },
         );
         assert!(run.out.counted(counter) > 400, "{counter}");
+        assert_eq!(run.out.counted("imu_track") > 0, !is_stuck);
         let usable = |(status, off): &(PoseStatus, f64)| status.is_usable() && *off < 0.3;
         assert!(drive[10..30].iter().chain(&drive[45..]).all(usable), "{drive:?}");
         assert!(

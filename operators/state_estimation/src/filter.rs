@@ -159,6 +159,7 @@ impl Filter {
         let Some(mut time) = self.time.replace(to) else {
             return;
         };
+        let is_misled = self.is_misled(to);
         let Some(belief) = &mut self.belief else {
             return;
         };
@@ -174,7 +175,7 @@ impl Filter {
                 time = until;
             }
         }
-        let known = self.imu.as_ref().filter(|_| !self.is_misled(to));
+        let known = self.imu.as_ref().filter(|_| !is_misled);
         let rate = known.map(|(sample, _)| sample.angular_rate);
         while time < to {
             let step = (to - time).min(COAST_STEP);

@@ -71,16 +71,6 @@ fn worst(looks: &[Look], from: f64, part: usize) -> f64 {
     usable.fold(0.0, |worst: f64, look| worst.max(look.off[part]))
 }
 
-fn said(looks: &[Look]) -> String {
-    let usable = looks.iter().filter(|look| look.at > 2.0 && look.is_relied_on());
-    let [place, heading] = [0, 1].map(|part| worst(looks, 2.0, part));
-    format!(
-        "{} of {} usable, {place:.2} m, {heading:.1}°",
-        usable.count(),
-        looks.len()
-    )
-}
-
 /// Makes samples of the IMU hold one part of what it said when it got stuck.
 fn stuck(from: f64, part: Stuck) -> impl FnMut(f64, Sample) -> Sample {
     let mut held: Option<ImuSample> = None;
