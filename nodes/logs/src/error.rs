@@ -198,7 +198,7 @@ impl LogError {
         }
     }
 
-    /// The same of a file by whose name whoever asked for it knows it.
+    /// Renames the file in the error to the path that the caller gave.
     pub(crate) fn named(mut self, name: &Path) -> LogError {
         if let LogError::Io { path, .. } | LogError::Input { path, .. } = &mut self {
             *path = name.into();

@@ -46,7 +46,7 @@ fn longest_alone(samples: &[ImuSample], poses: &[Place], part: usize) -> usize {
     long.map(<[ImuSample]>::len).max().unwrap_or(0)
 }
 
-/// Whether an agent moved from one time to another; one of which no poses are known there may have.
+/// Whether an agent moved from one time to another. Without poses in between it may have moved.
 fn moved(poses: &[Place], from: Nanos, to: Nanos) -> bool {
     let at = |stamp: Nanos| poses.partition_point(|(known, _)| *known < stamp);
     match &poses[at(from)..at(to).max(at(from))] {

@@ -287,7 +287,7 @@ impl Filter {
         }
         let is_alone = !self.scans.is_used(stamp, rules.limits.gnss_conflict);
         if is_alone && self.witness.is_outvoted() {
-            // The place alone is given up: fixes that are off all by the same turn nothing.
+            // The place alone is given up: fixes that are all off by the same vector say nothing against the heading.
             self.faults.note(Fault::GnssConflict, stamp);
             belief.doubt(&Vector3::repeat(residual.norm()), &Vector3::zeros());
             outcome = belief.correct(&fix.horizontal(belief, rules));

@@ -155,7 +155,7 @@ pub(crate) fn resting_gyro(belief: &Belief, rules: &Rules, rate: &Vector3<f64>, 
     Innovation::new(rate - turning - belief.gyro_bias, noise).with(GYRO_BIAS, &Matrix3::identity())
 }
 
-/// A vehicle that stands does not turn, which its states say where no gyro does.
+/// A vehicle that stands does not turn; without a gyro its turn rate is in the states of the gyro bias.
 pub(crate) fn standing_turn(belief: &Belief) -> Innovation<3> {
     let noise = Matrix3::identity() * (STANDING_TURN * STANDING_TURN);
     Innovation::new(-belief.gyro_bias, noise).with(GYRO_BIAS, &Matrix3::identity())

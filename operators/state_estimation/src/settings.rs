@@ -59,7 +59,7 @@ pub struct Limits {
     pub heading_rad: f64,
     /// So long after the last absolute position an estimate counts as dead reckoning, ns.
     pub dead_reckoning: Nanos,
-    /// GNSS that contradicts an estimate without scans for so long is right, ns. One that rests on less than 10 s of fixes yields to others
+    /// GNSS that contradicts an estimate without scans for so long is right, ns. An estimate that rests on less than 10 s of fixes yields
     /// after as long a time.
     pub gnss_conflict: Nanos,
     /// GNSS that contradicts an estimate with scans for so long is right, ns.

@@ -88,13 +88,13 @@ impl Listening {
     }
 }
 
-/// The addresses by which other machines may reach what listens at `at`: of all of this machine's interfaces the name of the machine, and
-/// the address that it has towards others.
+/// The addresses by which other machines may reach what listens at `at`. Where it listens on all interfaces, these are the address of this
+/// machine towards others, and its name.
 pub fn from_elsewhere(at: SocketAddr) -> Vec<String> {
     if !at.ip().is_unspecified() {
         return vec![at.to_string()];
     }
-    let own = names().into_iter().nth(1).map(|name| format!("{name}:{}", at.port()));
+    let own = hostname().map(|name| format!("{name}:{}", at.port()));
     towards_others(at.ip())
         .map(|ip| SocketAddr::new(ip, at.port()).to_string())
         .into_iter()
@@ -124,14 +124,16 @@ impl Drop for Listening {
 
 /// The names by which browsers know this machine.
 pub fn names() -> Vec<String> {
-    let own = std::fs::read_to_string("/proc/sys/kernel/hostname").unwrap_or_default();
-    let own = own.trim();
-    let of_network = format!("{own}.local");
-    let all = ["localhost", own, &of_network];
-    all.into_iter()
-        .filter(|name| !name.is_empty())
-        .map(String::from)
+    let own = hostname().map(|own| [format!("{own}.local"), own]);
+    std::iter::once("localhost".to_string())
+        .chain(own.into_iter().flatten())
         .collect()
+}
+
+/// The name of this machine, if it has one.
+fn hostname() -> Option<String> {
+    let own = std::fs::read_to_string("/proc/sys/kernel/hostname").ok()?;
+    Some(own.trim().to_string()).filter(|own| !own.is_empty())
 }
 
 fn take_all(listener: &TcpListener, serve: &Arc<impl Serve>, closed: &AtomicBool) {
@@ -171,5 +173,26 @@ struct Connection(Arc<AtomicUsize>);
 impl Drop for Connection {
     fn drop(&mut self) {
         self.0.fetch_sub(1, Ordering::SeqCst);
+    }
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn others_are_told_an_address_that_is_not_of_all_interfaces() {
+        let at = |text: &str| text.parse::<SocketAddr>().unwrap();
+        assert_eq!(from_elsewhere(at("10.1.2.3:80")), ["10.1.2.3:80"]);
+        let all = from_elsewhere(at("0.0.0.0:8800"));
+        assert!(
+            all.iter()
+                .all(|one| one.ends_with(":8800") && !one.starts_with("0.0.0.0")),
+            "{all:?}"
+        );
+        assert_eq!(
+            hostname().is_some_and(|own| all.contains(&format!("{own}:8800"))),
+            hostname().is_some()
+        );
     }
 }
