@@ -331,7 +331,10 @@ fn what_is_not_a_file_of_onnx_is_refused() {
             head("p.onnx", b"version https://git-lfs.github.com/spec/v1\n"),
             &["git lfs pull"],
         ),
-        (head("empty.onnx", b""), &["found an empty file; export the network anew"]),
+        (
+            head("empty.onnx", b""),
+            &["found an empty file; export the network anew"],
+        ),
         (head("t.onnx", b"PK\x03\x04torch"), &["torch.onnx.export"]),
         (
             {
