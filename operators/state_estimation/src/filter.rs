@@ -9,7 +9,7 @@ use crate::correct::Outcome;
 use crate::fault::{Fault, Faults};
 use crate::imu::{ImuMonitor, Stuck, between, held};
 use crate::models::{self, LocalFix, LocalScan};
-use crate::rolling::Rolling;
+use crate::rolling::{Rolling, in_a_row};
 use crate::rules::{Checked, Rules};
 use crate::source::{Source, conflict};
 use crate::start::Start;
@@ -438,9 +438,8 @@ impl Filter {
         let outcome = belief.correct(&innovation);
         self.scans.note(outcome, stamp, residual);
         let is_gated = outcome == Outcome::Gated;
-        let counted = |before: u32, is: bool| (if is { before.saturating_add(1) } else { 0 }, stamp);
-        self.turned = counted(self.turned.0, is_gated && turned > TURNED.0);
-        self.away = counted(self.away.0, is_gated && residual.xy().norm() > AWAY);
+        self.turned = (in_a_row(self.turned.0, is_gated && turned > TURNED.0), stamp);
+        self.away = (in_a_row(self.away.0, is_gated && residual.xy().norm() > AWAY), stamp);
         used(outcome, Fault::ScanGate)
     }
 

@@ -104,16 +104,13 @@ impl Rolling {
             (run.from, run.moved) = ((stamp, self.way), 0.0);
         } else if to_seconds(stamp - run.from.0) >= SPAN.0 && longer >= SPAN.1 {
             let is_off = (rolled - run.moved).abs() > OFF.0 + OFF.1 * longer;
-            let counted = |before: u32, is: bool| if is { before.saturating_add(1) } else { 0 };
-            (self.against, self.agreeing) = (counted(self.against, is_off), counted(self.agreeing, !is_off));
+            (self.against, self.agreeing) = (in_a_row(self.against, is_off), in_a_row(self.agreeing, !is_off));
             (run.from, run.moved) = ((stamp, self.way), 0.0);
         }
         self.run = Some(run);
         self.against >= OFTEN
     }
-}
 
-impl Rolling {
     /// Whether wheels roll as scans move.
     pub fn is_right(&self) -> bool {
         self.agreeing >= OFTEN
@@ -123,6 +120,11 @@ impl Rolling {
     pub fn scans(&self) -> u32 {
         self.run.as_ref().map_or(0, |run| run.count)
     }
+}
+
+/// How often something was so in a row, with one more time at which it is or is not.
+pub(crate) fn in_a_row(before: u32, is: bool) -> u32 {
+    if is { before.saturating_add(1) } else { 0 }
 }
 
 impl Run {

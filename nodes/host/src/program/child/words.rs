@@ -67,30 +67,28 @@ impl Child {
         ))
     }
 
-    /// What is known of a program that failed: the reason, how it ended, what it said.
-    pub(super) fn last_words(&mut self, reason: &str) -> String {
-        self.calls = None;
-        let ended = match self.exited(Duration::from_secs(2)) {
+    /// How it ended, which it is given some time for.
+    fn ending(&mut self) -> String {
+        match self.exited(Duration::from_secs(2)) {
             Some(status) => format!("it ended with {status}"),
             None => {
                 self.stop();
                 "it was stopped".into()
             }
-        };
+        }
+    }
+
+    /// What is known of a program that failed: the reason, how it ended, what it said.
+    pub(super) fn last_words(&mut self, reason: &str) -> String {
+        self.calls = None;
+        let ended = self.ending();
         self.quoted(format!("{reason}; {ended}"))
     }
 
     /// What a program says that refuses its settings.
     pub(super) fn refused(&mut self, reason: &str) -> String {
         self.calls = None;
-        // It has nothing left to do.
-        let ended = match self.exited(Duration::from_secs(2)) {
-            Some(status) => format!("it ended with {status}"),
-            None => {
-                self.stop();
-                "it was stopped".into()
-            }
-        };
+        let ended = self.ending();
         let mend = missing_module(reason).map_or(String::new(), |mend| format!("; {mend}"));
         format!("program `{}`: {reason}{mend} ({ended})", self.program)
     }
