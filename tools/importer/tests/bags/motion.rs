@@ -19,10 +19,11 @@ fn imu(stamp: i64, gravity: f64) -> Recorded {
         out.header(stamp, "imu_link");
         out.f64s(&[0.0, 0.0, 0.0, 1.0]);
         out.f64s(&[0.0; 9]);
-        // No two samples of a unit are equal.
-        out.f64s(&[0.01, -0.02, 0.03 + 1e-12 * (stamp - T0) as f64]);
+        // No two samples of a unit are equal, in either of its sensors.
+        let drift = 1e-12 * (stamp - T0) as f64;
+        out.f64s(&[0.01, -0.02, 0.03 + drift]);
         out.f64s(&[1e-6, 0.0, 0.0, 0.0, 2e-6, 0.0, 0.0, 0.0, 1e-6]);
-        out.f64s(&[0.1, 0.2, gravity]);
+        out.f64s(&[0.1, 0.2 + drift, gravity]);
         out.f64s(&[1e-4, 0.0, 0.0, 0.0, 1e-4, 0.0, 0.0, 0.0, 3e-4]);
     })
 }
@@ -144,8 +145,12 @@ fn sensors_go_on_with_their_places_times_and_noise() {
     let (stamp, ready, reading, mount) = &samples[7];
     assert_eq!((*stamp, *ready), (T0 + 70 * MS, T0 + 70 * MS + LATE));
     let [roll, pitch, yaw] = reading.angular_rate;
-    assert_eq!((roll, pitch, reading.specific_force), (0.01, -0.02, [0.1, 0.2, 9.81]));
-    assert!((yaw - 0.03 - 7e-5).abs() < 1e-15, "{yaw}");
+    let [forward, left, up] = reading.specific_force;
+    assert_eq!((roll, pitch, forward, up), (0.01, -0.02, 0.1, 9.81));
+    assert!(
+        (yaw - 0.03 - 7e-5).abs() < 1e-15 && (left - 0.2 - 7e-5).abs() < 1e-15,
+        "{yaw}, {left}"
+    );
     assert_eq!(reading.variance, Some([2e-6, 3e-4]));
     let at = mount.translation.vector;
     assert!(
