@@ -23,7 +23,40 @@ pub(crate) fn stuck_faults(samples: &[ImuSample], poses: &[Place]) -> Vec<String
             "{these} of {run} samples in a row are equal to the bit, and {others} are not: the {stuck} stuck; leave such samples out"
         )
     };
-    found.map(words).collect()
+    let whole: Vec<String> = found.map(words).collect();
+    if !whole.is_empty() {
+        return whole;
+    }
+    let sensors = [("angular rate", "gyroscope"), ("specific force", "accelerometer")];
+    let axes = sensors
+        .into_iter()
+        .enumerate()
+        .flat_map(|(part, names)| (0..3).map(move |axis| (part, axis, names)));
+    let runs = axes.map(|(part, axis, names)| (longest_of_axis(samples, poses, part, axis), axis, names));
+    let words = |(run, axis, (reading, sensor)): (usize, usize, (&str, &str))| {
+        let axis = ["x", "y", "z"][axis];
+        format!(
+            "the {reading} about {axis} of {run} samples in a row is equal to the bit, while others change: this {sensor} is stuck; leave \
+             such samples out"
+        )
+    };
+    runs.filter(|(run, ..)| *run >= STUCK_IMU).map(words).collect()
+}
+
+/// The longest run of samples of a moving agent with an equal reading of one axis that has others elsewhere.
+fn longest_of_axis(samples: &[ImuSample], poses: &[Place], part: usize, axis: usize) -> usize {
+    let reading = |sample: &ImuSample| [sample.angular_rate, sample.specific_force][part][axis];
+    let runs = samples.chunk_by(|one, next| reading(one) == reading(next));
+    // The whole unit that stands still has words of its own.
+    let is_alone =
+        |run: &&[ImuSample]| run.len() < samples.len() && run.array_windows().any(|[one, next]| !is_same(one, next));
+    let long = runs.filter(|run| run.len() >= STUCK_IMU).filter(is_alone);
+    let moving = long.filter(|run| moved_during(run, poses));
+    moving.map(<[ImuSample]>::len).max().unwrap_or(0)
+}
+
+fn is_same(one: &ImuSample, next: &ImuSample) -> bool {
+    one.angular_rate == next.angular_rate && one.specific_force == next.specific_force
 }
 
 /// The longest run of samples of a moving agent with equal readings of a sensor, while the other one's change.
@@ -38,12 +71,16 @@ fn longest_alone(samples: &[ImuSample], poses: &[Place], part: usize) -> usize {
             .count();
         changes as f64 >= ALIVE * (run.len() - 1) as f64 && changes > 0
     };
-    let moves = |run: &&[ImuSample]| match run {
+    let long = runs.filter(|run| run.len() >= STUCK_IMU).filter(is_alone);
+    let moving = long.filter(|run| moved_during(run, poses));
+    moving.map(<[ImuSample]>::len).max().unwrap_or(0)
+}
+
+fn moved_during(run: &[ImuSample], poses: &[Place]) -> bool {
+    match run {
         [first, .., last] => moved(poses, first.taken.stamp, last.taken.stamp),
         _ => false,
-    };
-    let long = runs.filter(|run| run.len() >= STUCK_IMU).filter(is_alone).filter(moves);
-    long.map(<[ImuSample]>::len).max().unwrap_or(0)
+    }
 }
 
 /// Whether an agent moved from one time to another. Without poses in between it may have moved.
@@ -95,7 +132,19 @@ mod tests {
         assert!(said([never, 300], &driven).contains("the accelerometers are stuck"));
         // The whole unit has its own words, and an agent that stands says nothing.
         assert_eq!(said([300, 300], &driven), "");
+        // One axis, which said other things before. What a unit never measures is no fault.
+        let axis = |from: usize, poses: &[Place]| {
+            let mut axis = samples([never, never]);
+            let held = axis[from].angular_rate[2];
+            axis[from..].iter_mut().for_each(|sample| sample.angular_rate[2] = held);
+            stuck_faults(&axis, poses).join("; ")
+        };
+        let gyroscope = "the angular rate about z of 100 samples in a row is equal to the bit, while others change: this gyroscope is stuck; \
+                         leave such samples out";
+        assert_eq!(axis(300, &driven), gyroscope);
+        assert_eq!(axis(0, &driven), "");
         let stands: Vec<Place> = driven.iter().map(|(stamp, _)| (*stamp, [3.0, 5.0, 0.0])).collect();
         assert_eq!(said([300, never], &stands), "");
+        assert_eq!(axis(300, &stands), "");
     }
 }

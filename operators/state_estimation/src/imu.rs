@@ -12,6 +12,8 @@ const REPEATS: u32 = 2;
 /// Gyroscopes or accelerometers alone may repeat their values so often: in a vehicle that rolls by its wheels, and where no wheels say whether it
 /// does. Readings of a vehicle that stands may be less than a step of the unit apart for as long as it stands.
 const ALONE: [u32; 2] = [20, 50];
+/// One axis of a vehicle that rolls by its wheels may repeat its value so often.
+const ONE_AXIS: u32 = 100;
 /// Time over which the specific force is averaged, s.
 const AVERAGE_S: f64 = 1.0;
 /// The averaged force may lean so far from up (cosine), as it does at the hardest braking.
@@ -26,10 +28,29 @@ const UP: f64 = 0.2;
 pub enum Stuck {
     /// All of it.
     Whole,
-    /// The gyroscopes alone.
+    /// The gyroscopes alone, or one of them.
     Gyroscopes,
-    /// The accelerometers alone.
+    /// The accelerometers alone, or one of them.
     Accelerometers,
+}
+
+/// What one axis of a sensor did so far.
+#[derive(Clone, Copy, Debug, Default, PartialEq)]
+struct Axis {
+    /// Samples in a row that repeat the one before, while the vehicle rolls.
+    run: u32,
+    /// Whether its value ever changed: units that turn about one axis only leave the others at 0.
+    has_changed: bool,
+}
+
+impl Axis {
+    fn look(&mut self, is_same: bool, rolls: bool) {
+        self.has_changed |= !is_same;
+        self.run = match is_same {
+            true => self.run.saturating_add(u32::from(rolls)),
+            false => 0,
+        };
+    }
 }
 
 /// What is known of an IMU.
@@ -42,6 +63,8 @@ pub(crate) struct ImuMonitor {
     repeats: u32,
     /// The same of angular rates and specific forces by themselves, while the vehicle does not stand.
     alone: [u32; 2],
+    /// The axes of both, in the frame of the IMU.
+    axes: [[Axis; 3]; 2],
     average: Vector3<f64>,
 }
 
@@ -60,7 +83,7 @@ impl ImuMonitor {
             }
         };
         self.average += (force - self.average) * share;
-        if let Some(stuck) = self.repeated(sample, speed) {
+        if let Some(stuck) = self.repeated(sample, speed, rules) {
             self.stuck = Some(stuck);
             return Err(Fault::ImuStuck);
         }
@@ -74,13 +97,22 @@ impl ImuMonitor {
     }
 
     /// What has repeated its values too often with the next sample.
-    fn repeated(&mut self, sample: &ImuSample, speed: Option<f64>) -> Option<Stuck> {
-        let same = self.last.replace(*sample).map_or([false; 2], |last| {
+    fn repeated(&mut self, sample: &ImuSample, speed: Option<f64>, rules: &Rules) -> Option<Stuck> {
+        let up = rules.body_from_imu.rotation.inverse() * Vector3::z();
+        let last = self.last.replace(*sample);
+        let equal = last.map_or([[false; 3]; 2], |last| {
+            let of = |a: &Vector3<f64>, b: &Vector3<f64>| [0, 1, 2].map(|axis| a[axis] == b[axis]);
             [
-                last.angular_rate == sample.angular_rate,
-                last.specific_force == sample.specific_force,
+                of(&last.angular_rate, &sample.angular_rate),
+                of(&last.specific_force, &sample.specific_force),
             ]
         });
+        if last.is_some() {
+            let rolls = speed.is_some_and(|speed| speed != 0.0);
+            let axes = self.axes.iter_mut().flatten().zip(equal.into_iter().flatten());
+            axes.for_each(|(axis, is_same)| axis.look(is_same, rolls));
+        }
+        let same = equal.map(|axes| axes == [true; 3]);
         let stands = speed == Some(0.0);
         for (run, same) in self.alone.iter_mut().zip(same) {
             *run = match same {
@@ -97,7 +129,18 @@ impl ImuMonitor {
             _ if self.repeats > REPEATS => Some(Stuck::Whole),
             [true, _] => Some(Stuck::Gyroscopes),
             [_, true] => Some(Stuck::Accelerometers),
-            [false, false] => None,
+            [false, false] => self.one_axis(up.iamax()),
+        }
+    }
+
+    /// Which sensor has an axis that stands still while the vehicle rolls. The one about which it turns must change, the others where
+    /// they ever did.
+    fn one_axis(&self, up_axis: usize) -> Option<Stuck> {
+        let is_stuck = |axis: &Axis| axis.run > ONE_AXIS && axis.has_changed;
+        let [rates, forces] = &self.axes;
+        match rates.iter().any(is_stuck) || rates[up_axis].run > ONE_AXIS {
+            true => Some(Stuck::Gyroscopes),
+            false => forces.iter().any(is_stuck).then_some(Stuck::Accelerometers),
         }
     }
 }
@@ -149,6 +192,7 @@ mod tests {
             let [turn, push] = reading(*k);
             let sample = ImuSample {
                 stamp: from_seconds(0.01 * *k as f64),
+                // A unit that says nothing about the other axes.
                 angular_rate: Vector3::new(0.0, 0.01, turn),
                 specific_force: Vector3::new(push, 0.0, 9.8),
             };
@@ -179,6 +223,45 @@ mod tests {
             stuck(|_| None, |k| [from(200, k), noise(k)]),
             Some((251, Some(Stuck::Gyroscopes)))
         );
+    }
+
+    #[test]
+    fn one_axis_that_stands_still_is_found_while_the_vehicle_rolls() {
+        let noise = |k: usize| (k * 37 % 101) as f64 * 1e-3;
+        let frame = LocalFrame::new(Geodetic::default()).unwrap();
+        let rules = Rules::new(Settings::new(Unit::Tactical, frame));
+        // Samples of which one axis stops at the 150th: 0 to 2 of the gyroscopes, 3 to 5 of the accelerometers.
+        let found = |stuck: Option<usize>, from: usize, speed: Option<f64>| {
+            let mut monitor = ImuMonitor::default();
+            let first = (0..400).find(|k| {
+                let value = |axis: usize| noise(if stuck == Some(axis) { (*k).min(from) } else { *k } + axis);
+                let sample = ImuSample {
+                    stamp: from_seconds(0.01 * *k as f64),
+                    angular_rate: Vector3::new(value(0), value(1), value(2)),
+                    specific_force: Vector3::new(value(3), value(4), 9.8 + value(5)),
+                };
+                monitor.look(&sample, speed, &rules) == Err(Fault::ImuStuck)
+            });
+            first.map(|at| (at, monitor.stuck))
+        };
+        assert_eq!(found(None, 0, Some(8.0)), None);
+        for axis in 0..6 {
+            let sensor = if axis < 3 {
+                Stuck::Gyroscopes
+            } else {
+                Stuck::Accelerometers
+            };
+            assert_eq!(
+                found(Some(axis), 150, Some(8.0)),
+                Some((251, Some(sensor))),
+                "axis {axis}"
+            );
+            assert_eq!(found(Some(axis), 150, Some(0.0)), None);
+            assert_eq!(found(Some(axis), 150, None), None);
+            // What never changed is not measured, but for the turns of the vehicle.
+            let expected = (axis == 2).then_some((101, Some(Stuck::Gyroscopes)));
+            assert_eq!(found(Some(axis), 0, Some(8.0)), expected, "axis {axis}");
+        }
     }
 
     /// Steps of 0.06 °/s, as of a chip with 16 bits for 2,000 °/s, are more than a vehicle that stands shows.

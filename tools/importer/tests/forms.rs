@@ -351,6 +351,37 @@ fn padding_doubles_integers_and_text_are_read_alike() {
 }
 
 #[test]
+fn fields_are_taken_by_their_names_and_rows_of_no_return_are_left_out() {
+    let made = Made::new();
+    let expected = imported(&made, &cloud(|i| i as f32 / POINTS as f32));
+    let names = "ring intensity z y x";
+    let mut other = head(names, "2 4 4 4 4", "U F F F F", "1 1 1 1 1");
+    // An organised cloud: each third row is a beam that came back from nothing.
+    let without = POINTS / 2;
+    let text = String::from_utf8(head(names, "2 4 4 4 4", "U F F F F", "1 1 1 1 1")).unwrap();
+    let mut organised = text
+        .replace(&format!(" {POINTS}\n"), &format!(" {}\n", POINTS + without))
+        .into_bytes();
+    for i in 0..POINTS {
+        let ([x, y, z], share) = (place(i), i as f32 / POINTS as f32);
+        let row = [
+            &(i as u16 % 32).to_le_bytes()[..],
+            &[share, z, y, x].map(f32::to_le_bytes).concat(),
+        ]
+        .concat();
+        other.extend(&row);
+        organised.extend(&row);
+        if i % 2 == 1 {
+            organised.extend([0, 0]);
+            organised.extend([0.0, f32::NAN, f32::NAN, f32::NAN].map(f32::to_le_bytes).concat());
+        }
+    }
+    for (name, file) in [("order", other), ("no return", organised)] {
+        assert!(imported(&made, &file) == expected, "{name}");
+    }
+}
+
+#[test]
 fn clouds_far_from_their_sensor_are_refused_and_none_is_cut() {
     let made = Made::new();
     let mut far = head("x y z intensity", "8 8 8 4", "F F F F", "1 1 1 1");

@@ -3,6 +3,7 @@
 mod detector;
 mod faults;
 mod framework;
+mod import;
 mod memory;
 mod network;
 mod nms;
@@ -66,6 +67,8 @@ enum Name {
     Train,
     /// From the points of a sweep to its pose on a map, against small_gicp
     Registration,
+    /// OPV2V's folders to a log: points per second and core, and a frame of four agents
+    Import,
     /// A BEV map into bytes and out again, step by step, in all elements
     Transmission,
     /// From the last point to fused boxes in realtime on dora, 2, 4 and 8 agents
@@ -125,6 +128,7 @@ pub fn main(args: &Args) -> Result<Outcome> {
         Name::Network => print(&network::bench(args.python.as_deref(), &progress)?, args.json),
         Name::Train => print(&train::bench(args.python.as_deref(), &progress)?, args.json),
         Name::Registration => print(&registration::bench(args.python.as_deref(), &progress)?, args.json),
+        Name::Import => print(&import::bench(&progress)?, args.json),
         Name::Transmission => print(&transmission::bench(&progress)?, args.json),
         Name::Framework => print(&framework::bench(args.seconds.unwrap_or(10.0), &progress)?, args.json),
         Name::Radio => print(
