@@ -163,12 +163,17 @@ test("where nothing of others came is listed with what it cost", () => {
   assert.equal(open({ data: report({ scenes: [scene()] }) }).value("silenceTable()"), null);
 });
 
-test("a graph is drawn with each stage after all that it takes from, circles too", () => {
-  const stages = { player: {}, sense: { "inputs.clouds": "player/clouds" }, link: { "inputs.in": "sense/boxes", "inputs.word": "score/word" }, score: { "inputs.boxes": "link/out, sense/boxes" } };
-  const drawing = page.value(`graph({ name: "late", graph: ${JSON.stringify(stages)} })`);
-  const at = Object.fromEntries(drawing.all("g").map((group) => [group.all("title")[0].textContent, Number(group.all("rect")[0].getAttribute("x"))]));
-  assert.ok(at.player < at.sense && at.sense < at.link && at.link < at.score, JSON.stringify(at));
-  assert.equal(paths(drawing).length, 5);
+test("a graph is its picture, with what each stage runs and is set to", () => {
+  const stages = { player: { runs: "player", "settings.rate": "1" }, fuse: { "settings.iou": "0.15", "settings.by": "<i>", "inputs.in": "player/clouds" } };
+  const of = (more) => page.value(`graph(${JSON.stringify({ name: "late", graph: stages, ...more })})`);
+  const drawing = of({ picture: "<svg>&#39;</svg>" });
+  const [image] = drawing.all("img");
+  assert.equal(image.getAttribute("src"), "data:image/svg+xml;charset=utf-8,%3Csvg%3E%26%2339%3B%3C%2Fsvg%3E");
+  assert.equal(image.getAttribute("alt"), "Graph of late");
+  const rows = drawing.all("tr").map((row) => row.nodes.map((cell) => cell.textContent));
+  assert.deepEqual(rows.slice(1), [["player", "player", "rate=1"], ["fuse", "–", "iou=0.15 by=<i>"]]);
+  const without = of({});
+  assert.deepEqual([without.all("img").length, without.all("tr").length], [0, 3]);
 });
 
 test("a page of a hundred runs, and of a run that nobody scored, draws itself", () => {
