@@ -101,7 +101,7 @@ const FAULTS: [Counter; Fault::ALL.len()] = [
     ),
     fault(
         "imu_stuck",
-        "IMU samples of which the angular rates, the specific forces or both do not change at all",
+        "IMU samples of which the angular rates, the specific forces, both, or one axis of them do not change at all",
         "samples of the IMU were not used, because they do not change at all",
         SENSORS,
     ),

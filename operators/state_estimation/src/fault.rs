@@ -29,7 +29,7 @@ faults! {
     ImuNotFinite "imu_not_finite",
     /// An IMU sample at the end of the unit's range.
     ImuSaturated "imu_saturated",
-    /// IMU samples of which rates, forces or both do not change at all.
+    /// IMU samples of which rates, forces, both, or one axis of them do not change at all.
     ImuStuck "imu_stuck",
     /// The mean specific force does not point up with the length of gravity: the IMU is upside down, turned against its
     /// mounting, or reports in other units.

@@ -37,6 +37,8 @@ const SILENT: Nanos = 1_000_000_000;
 const MISLED: Nanos = 20_000_000_000;
 /// Where the gyro was wrong, the estimate is taken for so much more than the scan's distance from it: m, and rad of tilt and heading.
 const LED: [f64; 3] = [0.5, 0.03, 0.1];
+/// No vehicle drives backwards so fast, m/s, for so long, ns.
+const BACKWARDS: (f64, Nanos) = (6.0, 300_000_000);
 /// Scans that are turned against the estimate, rad, so many in a row.
 const TURNED: (f64, u32) = (0.05, 3);
 /// Scans that are so far from the estimate, m, that many in a row; so many before follow each other.
@@ -75,6 +77,8 @@ pub(crate) struct Filter {
     /// When scans last contradicted the gyro.
     misled: Option<Nanos>,
     rolling: Rolling,
+    /// Since when wheels say that the vehicle drives backwards faster than any.
+    backwards: Option<Nanos>,
     /// When scans last contradicted the wheels.
     slipped: Option<Nanos>,
     /// Scans in a row that were refused for their heading, and the last of them.
@@ -118,6 +122,7 @@ impl Filter {
             heard: None,
             misled: None,
             rolling: Rolling::default(),
+            backwards: None,
             slipped: None,
             turned: (0, 0),
             away: (0, 0),
@@ -219,6 +224,11 @@ impl Filter {
         self.advance(stamp, None, rules);
         self.track.wheel(stamp, speed);
         self.rolling.wheel(stamp, speed);
+        if self.counts_backwards(stamp, speed) {
+            self.faults.note(Fault::WheelTrack, stamp);
+            let is_supported = self.scans.is_used(stamp, RECENT);
+            self.give_wheels_up(stamp, is_supported, Fault::GnssConflict);
+        }
         if self.slipped.is_some_and(|at| stamp - at <= MISLED) {
             return Err(Fault::WheelExcluded);
         }
@@ -242,6 +252,13 @@ impl Filter {
         used(belief.correct(&innovation), Fault::WheelGate)?;
         let innovation = models::no_skid(belief, rules, rate.as_ref());
         used(belief.correct(&innovation), Fault::WheelSkid)
+    }
+
+    /// Whether wheels have said for some time that the vehicle drives backwards faster than any.
+    fn counts_backwards(&mut self, stamp: Nanos, speed: f64) -> bool {
+        let (fastest, long) = BACKWARDS;
+        self.backwards = (speed < -fastest).then(|| self.backwards.unwrap_or(stamp));
+        self.backwards.is_some_and(|since| stamp - since >= long)
     }
 
     /// Takes the last IMU sample as the gyro's bias, once.

@@ -316,6 +316,23 @@ fn a_sensor_that_leads_astray_is_named_and_the_estimate_is_lost_at_once() {
 }
 
 #[test]
+fn wheels_that_say_backwards_as_fast_as_no_vehicle_drives_are_left_out() {
+    let plan = Plan { scans: false, ..plan() };
+    let (estimator, found) = drive(plan, |_, sample| match sample {
+        Sample::Wheel(wheel) => Some(Sample::Wheel(WheelSpeed {
+            speed: -wheel.speed,
+            ..wheel
+        })),
+        other => Some(other),
+    });
+    let faults = estimator.faults();
+    let [found_wrong, left_out] = [Fault::WheelTrack, Fault::WheelExcluded].map(|fault| faults.count(fault));
+    assert!(found_wrong > 100 && left_out > 1000, "{faults:?}");
+    honest(&found, "backwards");
+    assert!(worst(&found, 15.0, 60.0) < 3.0, "{}", worst(&found, 15.0, 60.0));
+}
+
+#[test]
 fn wheels_in_other_units_and_an_imu_that_dies_are_named() {
     let plan = Plan { scans: false, ..plan() };
     let (estimator, _) = drive(plan, |_, sample| match sample {
