@@ -40,7 +40,11 @@ impl Binary<'_> {
             true => (field.before * self.points, field.size * field.count),
             false => (field.before, self.point_size),
         };
-        (0..self.points).map(move |i| std::array::from_fn(|k| self.values[start + i * step + k]))
+        (0..self.points).map(move |i| {
+            let mut value = [0; N];
+            value.copy_from_slice(&self.values[start + i * step..][..N]);
+            value
+        })
     }
 }
 

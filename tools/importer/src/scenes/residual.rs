@@ -127,12 +127,21 @@ impl<'a> Cells<'a> {
         found.map(|other| (point - *other).norm()).fold(f64::INFINITY, f64::min)
     }
 
+    /// Whether a point is so near that both see it.
+    fn has_near(&self, point: &Vector3<f64>) -> bool {
+        let [[x0, y0, z0], [x1, y1, z1]] = [-FITS, FITS].map(|metres| cell(&point.add_scalar(metres)));
+        let columns = (x0..=x1).flat_map(|x| (y0..=y1).map(move |y| [x, y]));
+        let mut cells = columns.flat_map(|[x, y]| (z0..=z1).map(move |z| [x, y, z]));
+        let is_near = |other: &&Vector3<f64>| (point - *other).norm() <= FITS;
+        cells.any(|cell| self.0.get(&cell).is_some_and(|points| points.iter().any(is_near)))
+    }
+
     /// What places around those of the poses say; `about` is the sensor of the points.
     fn fit(&self, points: &[Vector3<f64>], about: &Vector3<f64>) -> Fit {
         let common = |[moved, angle, turned]: [f64; 3]| {
             let shift = Vector3::new(moved * libm::cos(angle), moved * libm::sin(angle), 0.0);
             let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), turned);
-            let motion = |point: &&Vector3<f64>| self.nearest(&(about + turn * (*point - about) + shift)) <= FITS;
+            let motion = |point: &&Vector3<f64>| self.has_near(&(about + turn * (*point - about) + shift));
             points.iter().step_by(THINNED).filter(motion).count()
         };
         let directions = (0..8).map(|i| f64::from(i) * std::f64::consts::FRAC_PI_4);

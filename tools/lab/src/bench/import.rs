@@ -11,9 +11,11 @@ use rustix::time::{ClockId, clock_gettime};
 use serde::Serialize;
 
 use super::detector::spread;
-use super::framework::{demo_log, folder};
+use super::framework::folder;
 
 const ROUNDS: usize = 7;
+const AGENTS: [&str; 4] = ["cav1", "cav2", "rsu1", "rsu2"];
+const SECONDS: f64 = 4.0;
 /// Points a second and core.
 const GOAL: f64 = 10e6;
 /// A frame of four agents, ms.
@@ -34,14 +36,21 @@ pub struct Import {
     frame_median_ms: f64,
 }
 
-/// Imports the demo's log, written in the layout of OPV2V, again and again.
+/// Imports a simulated log of four agents, written in the layout of OPV2V, again and again.
 pub fn bench(progress: &Progress) -> Result<Import> {
     let folder = folder()?;
-    let (scene, log) = (folder.join("scene"), folder.join("imported.mcap"));
+    let [original, scene, log] = ["import.mcap", "scene", "imported.mcap"].map(|name| folder.join(name));
+    let simulated = realo_simulator::Options {
+        seed: 901,
+        seconds: SECONDS,
+        agents: AGENTS.map(String::from).into(),
+        ..realo_simulator::Options::default()
+    };
+    crate::simulate::write(&simulated, &original)?;
     let kind = exporter("opv2v")?;
     export(
         kind,
-        &Log::open(&demo_log()?)?,
+        &Log::open(&original)?,
         &scene,
         &realo_exporter::Options::default(),
         true,
@@ -64,6 +73,7 @@ pub fn bench(progress: &Progress) -> Result<Import> {
     let points: usize = summary.agents.iter().map(|agent| agent.points).sum();
     let [(best, median), (frame, frame_median)] = [&cpu, &wall].map(|seconds| spread(seconds));
     let of_frame = |seconds: f64| seconds * 1e3 / summary.frames as f64;
+    std::fs::remove_dir_all(&scene)?;
     Ok(Import {
         agents: summary.agents.len(),
         frames: summary.frames,
