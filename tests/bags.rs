@@ -5,8 +5,11 @@ mod common;
 use std::ffi::OsString;
 use std::fs;
 use std::path::Path;
+use std::process::Command;
 
-use common::{counts, folder, lab_ok, realo, realo_ok, run_virtual, simulated};
+use common::python::environment;
+use common::{counts, folder, lab_ok, realo, realo_ok, root, run_virtual, simulated};
+use realo_logs::{Log, Stream};
 
 const AGENTS: [(&str, &str); 2] = [("cav1", "vehicle"), ("rsu1", "roadside")];
 
@@ -85,6 +88,95 @@ fn topics_of_a_real_bag_are_listed_by_type() {
         "turtle1",
     ] {
         assert!(said.contains(part), "{said}");
+    }
+}
+
+/// A bag as a recorder of others writes it: each cloud has the points of `recorders.py`, and the pose beside it.
+fn recorded(python: &Path, recorder: &str, compression: &str) {
+    let dir = folder(&format!("recorded_{recorder}_{compression}"));
+    let [bag, map, log] = ["recorded.bag", "map.yml", "log.mcap"].map(|name| dir.join(name));
+    let script = root().join("tests/bags/recorders.py");
+    let wrote = Command::new(python)
+        .arg(script)
+        .args([recorder, compression])
+        .arg(&bag)
+        .output();
+    let wrote = wrote.expect("it was there before");
+    assert!(
+        wrote.status.success(),
+        "{recorder}, {compression}: {}",
+        common::text(&wrote.stderr)
+    );
+    let agent = "    clouds: /points\n    frame: base_link\n    height: 0\n    pose: /odom\n";
+    fs::write(&map, format!("agents:\n  car:\n{agent}")).expect("it can be written");
+    let words = ["import", "bag"].iter().map(|word| word.as_ref());
+    lab_ok(words.chain([
+        bag.as_os_str(),
+        "--map".as_ref(),
+        map.as_os_str(),
+        "-o".as_ref(),
+        log.as_os_str(),
+    ]));
+    let log = Log::open(&log).expect("a log");
+    let (mut sweeps, mut poses) = (0, 0);
+    let mut reader = log
+        .read_all(&[("car", Stream::Points), ("car", Stream::Pose)])
+        .expect("a log");
+    while let Some(entry) = reader.next().expect("an entry") {
+        let sweep = (entry.stamp() - 1_600_000_000_000_000_000) / 100_000_000;
+        if entry.stream == Stream::Pose {
+            assert_eq!(
+                entry.pose().expect("a pose").map_from_body.translation.x,
+                2.0 * sweep as f64
+            );
+            poses += 1;
+            continue;
+        }
+        let cloud = entry.cloud().expect("a cloud");
+        let place = |i: i64| [(i * 37 + sweep) % 2003, (i * 53) % 1009, i % 64].map(|number| number as f32);
+        let expected = (0..1000)
+            .map(|i| (place(i), i % 256))
+            .map(|([x, y, z], i)| ([x / 16.0 - 60.0, y / 16.0 - 30.0, z / 32.0], i as u8));
+        let found = (0..cloud.len()).map(|i| ([cloud.x[i], cloud.y[i], cloud.z[i]], cloud.intensity[i]));
+        assert!(found.eq(expected), "{recorder}, {compression}: sweep {sweep}");
+        sweeps += 1;
+    }
+    assert_eq!((sweeps, poses), (12, 12), "{recorder}, {compression}");
+}
+
+#[test]
+fn bags_of_the_recorder_of_ros_1_have_their_points() {
+    let has = |python: &&str| {
+        let tried = Command::new(python)
+            .args(["-c", "import rosbag, sensor_msgs.msg, nav_msgs.msg"])
+            .output();
+        tried.is_ok_and(|output| output.status.success())
+    };
+    let Some(python) = ["python3", "/usr/bin/python3"].iter().find(|python| has(python)) else {
+        skipped::skip(
+            "the recorder of ROS 1: on Debian, apt-get install python3-rosbag python3-sensor-msgs python3-nav-msgs",
+        );
+        return;
+    };
+    for compression in ["none", "bz2", "lz4"] {
+        recorded(Path::new(python), "rosbag", compression);
+    }
+}
+
+#[test]
+fn bags_of_the_package_rosbags_have_their_points() {
+    let home = Path::new(env!("CARGO_TARGET_TMPDIR")).join("rosbags_python");
+    let Some(programs) = environment(&home, &["rosbags==0.11.9"], "rosbags.rosbag2") else {
+        return;
+    };
+    let python = programs.join("python");
+    for compression in ["none", "bz2", "lz4"] {
+        recorded(&python, "rosbags1", compression);
+    }
+    for storage in ["sqlite3", "mcap"] {
+        for compression in ["none", "file", "message"] {
+            recorded(&python, &format!("rosbags2-{storage}"), compression);
+        }
     }
 }
 
