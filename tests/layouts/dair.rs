@@ -7,26 +7,22 @@ use realo_schemas::Box3;
 use realo_schemas::geometry::transform_box;
 use serde_json::{Value, json};
 
-use crate::files::{pcd, write};
+use crate::files::{pcd, write, write_json};
 use crate::scene::{HEIGHT, Scene, Sweep};
 
 const SIDES: [&str; 2] = ["vehicle-side", "infrastructure-side"];
 const LABELS: [&str; 2] = ["label/lidar", "label/virtuallidar"];
 /// Stamp of the first sweeps, µs.
 const START: i64 = 1_626_155_123_000_000;
-/// What was recorded of the roadside unit's place is off by so much, m.
+/// Error of the roadside unit's recorded place, m.
 const OFFSET: [f64; 2] = [-0.75, 0.25];
 
-/// Heights of the LiDARs over the ground: those of DAIR-V2X-C are known, those of the sequences are said by who imports them.
+/// Heights of the LiDARs over the ground, m: fixed for DAIR-V2X-C, given by `--height` for V2X-Seq.
 fn heights(is_sequence: bool) -> [f64; 2] {
     match is_sequence {
         true => [HEIGHT; 2],
         false => [2.0, 1.6],
     }
-}
-
-pub fn write_json(path: &Path, value: &Value) {
-    write(path, value.to_string().as_bytes());
 }
 
 /// A pose as calibrations have it.

@@ -66,7 +66,7 @@ impl Style {
         }
     }
 
-    /// What y and angles about z are multiplied by.
+    /// Sign of y and of angles about z: -1 in left-handed sets.
     fn hand(&self) -> f64 {
         if self.left_handed { -1.0 } else { 1.0 }
     }
@@ -79,7 +79,7 @@ impl Style {
             true => crate::files::matrix(&map_from_lidar).to_string(),
             false => format!("{:?}", [x, y * self.hand(), z, 0.0, yaw, 0.0]),
         };
-        let kind = if kind == AgentKind::Roadside {
+        let infra = if kind == AgentKind::Roadside {
             "infra: true\n"
         } else {
             ""
@@ -93,7 +93,7 @@ impl Style {
             .iter()
             .map(|object| self.object(&there(object)))
             .collect();
-        format!("lidar_pose: {pose}\n{kind}vehicles:\n{}", objects.concat())
+        format!("lidar_pose: {pose}\n{infra}vehicles:\n{}", objects.concat())
     }
 
     fn object(&self, object: &Box3) -> String {

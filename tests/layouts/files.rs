@@ -12,6 +12,11 @@ pub fn write(path: &Path, bytes: &[u8]) {
     fs::write(path, bytes).expect("it can be written");
 }
 
+/// Writes a file of JSON.
+pub fn write_json(path: &Path, value: &Value) {
+    write(path, value.to_string().as_bytes());
+}
+
 /// Rows of x, y, z and intensity.
 pub fn rows(points: &[[f32; 3]], intensities: &[f32]) -> Vec<u8> {
     let rows = points.iter().zip(intensities);

@@ -1,4 +1,4 @@
-//! A scene as all layouts have it: sweeps of agents ten times a second, whose points are where they are at one time.
+//! A scene that every layout can hold: ten sweeps a second, each with all points at one time.
 
 use std::collections::BTreeMap;
 use std::ffi::{OsStr, OsString};
@@ -13,7 +13,9 @@ use realo_schemas::{Box3, Boxes, Nanos, PointCloud};
 use crate::common::{files_below, folder, once, simulated};
 use crate::{import, lab_to};
 
-/// Where the scenes have their LiDARs over the ground, m.
+/// Frames of the scenes.
+pub const FRAMES: u64 = 10;
+/// Height of the LiDARs over the ground, m.
 pub const HEIGHT: f64 = 1.9;
 
 /// `min_points` of the protocol by which the scenes are scored.
@@ -26,7 +28,7 @@ pub struct Scene {
 pub struct Agent {
     pub name: String,
     pub kind: AgentKind,
-    /// Of its LiDAR over the ground, m.
+    /// Height of its LiDAR over the ground, m.
     pub height: f64,
     pub sweeps: Vec<Sweep>,
 }
@@ -87,12 +89,11 @@ impl Sweep {
 
 /// The simulator's scene of some agents, made once: regular stamps, no motion during sweeps, all frames scored.
 pub fn original(agents: &str) -> PathBuf {
-    once(&format!("layouts_{}.mcap", agents.replace(',', "_")), |path| {
-        let simulated = simulated(
-            &format!("layouts_simulated_{}", agents.replace(',', "_")),
-            &["--seconds", "1", "--key-hz", "10", "--agents", agents, "--seed", "921"],
-        );
-        let scene = folder(&format!("layouts_scene_{}", agents.replace(',', "_")));
+    let name = agents.replace(',', "_");
+    once(&format!("layouts_{name}.mcap"), |path| {
+        let set = ["--seconds", "1", "--key-hz", "10", "--agents", agents, "--seed", "921"];
+        let simulated = simulated(&format!("layouts_simulated_{name}"), &set);
+        let scene = folder(&format!("layouts_scene_{name}"));
         let data = scene.join("data");
         lab_to(&["export", "opv2v"], &simulated, &data, &[]);
         plain(&data);
@@ -101,8 +102,8 @@ pub fn original(agents: &str) -> PathBuf {
     })
 }
 
-/// Takes from a scene what only our exporter writes, but for names and heights. Objects of a frame are where the first agent labelled them:
-/// sweeps of agents are not at one time to the nanosecond, and frames are.
+/// Removes what only our exporter writes, except names and heights. Each object of a frame gets the first agent's label: stamps of agents
+/// differ by nanoseconds, a frame has one time.
 fn plain(data: &Path) {
     let mut known = Known::new();
     let mut files = files_below(data);
@@ -150,14 +151,6 @@ impl Scene {
         }
         let truth = self.agents[0].sweeps[frame].truth.iter();
         truth.filter(|object| all[&object.track] >= MIN_POINTS).collect()
-    }
-
-    /// Whether the log says who has points on what.
-    pub fn counts_points(&self) -> bool {
-        self.agents
-            .iter()
-            .flat_map(|agent| &agent.sweeps)
-            .any(|sweep| sweep.points.is_some())
     }
 
     pub fn read(path: &Path) -> Scene {
@@ -214,48 +207,56 @@ fn sweeps(log: &Log, agent: &str) -> Vec<Sweep> {
     found.into_values().filter(|sweep| sweep.cloud.is_some()).collect()
 }
 
-/// Compares points, poses and boxes of a scene that was imported with those of the log that it came from. The agents have these names.
-pub fn same(expected: &Scene, found: &Scene, names: &[&str]) {
-    assert_eq!(expected.agents.len(), names.len());
+/// What labels of a layout are.
+#[derive(Clone, Copy, PartialEq)]
+pub enum Labels {
+    /// Those of each agent, whose union is the truth.
+    OfEachAgent,
+    /// One list, which is the truth of all.
+    OfAll,
+    /// Those of each agent, and one list that is the truth of the first.
+    Given,
+}
+
+/// Compares points, poses and boxes of a log that was imported with those of the scene that it came from. The agents have these names.
+pub fn assert_same(scene: &Scene, found: &Scene, names: &[&str], labels: Labels) {
+    assert_eq!(scene.agents.len(), names.len());
     let agent = |name: &str| {
-        found
-            .agents
-            .iter()
+        let mut agents = found.agents.iter();
+        agents
             .find(|agent| agent.name == name)
             .unwrap_or_else(|| panic!("no `{name}`"))
     };
-    // The map of a layout may be another: where the last agent is in both says how they lie.
+    // A layout may have another map: the last agent's first pose relates the two.
     let place = |agent: &Agent| agent.sweeps[0].map_from_body;
-    let last = expected.agents.len() - 1;
-    let map_from_theirs = place(&expected.agents[last]) * place(agent(names[last])).inverse();
-    let scene = expected;
-    for (expected, name) in scene.agents.iter().zip(names) {
+    let last = names.len() - 1;
+    let map_from_theirs = place(&scene.agents[last]) * place(agent(names[last])).inverse();
+    for (index, (expected, name)) in scene.agents.iter().zip(names).enumerate() {
         let found = agent(name);
-        assert_eq!(
-            (found.kind, found.sweeps.len()),
-            (expected.kind, expected.sweeps.len()),
-            "{name}"
-        );
-        // Layouts whose labels of all agents are one file have them for the vehicle alone.
-        let has_truth = found.sweeps.iter().any(|sweep| !sweep.truth.is_empty());
-        assert!(has_truth || expected.kind == AgentKind::Roadside, "{name}");
-        let begun = [&expected.sweeps, &found.sweeps].map(|sweeps| sweeps[0].stamp);
-        for (frame, (one, other)) in expected.sweeps.iter().zip(&found.sweeps).enumerate() {
-            assert_eq!(one.stamp - begun[0], other.stamp - begun[1], "{name}");
-            same_sweep(one, other, &map_from_theirs);
-            if has_truth {
-                // Labels that come without points are of what was seen.
-                let all = match other.points {
-                    Some(_) => one.truth.iter().collect(),
-                    None => scene.seen(frame),
-                };
-                same_truth(&all, &other.truth);
+        let [ours, theirs] = [&expected.sweeps, &found.sweeps];
+        assert_eq!((found.kind, theirs.len()), (expected.kind, ours.len()), "{name}");
+        for (frame, (one, other)) in ours.iter().zip(theirs).enumerate() {
+            assert_eq!(one.stamp - ours[0].stamp, other.stamp - theirs[0].stamp, "{name}");
+            assert_same_sweep(one, other, &map_from_theirs);
+            let truth = match (labels, index) {
+                (Labels::Given, 0) => scene.seen(frame),
+                (Labels::Given, _) => Vec::new(),
+                (Labels::OfEachAgent | Labels::OfAll, _) => one.truth.iter().collect(),
+            };
+            assert_same_boxes(&truth, &other.truth);
+            assert_eq!(
+                other.points.is_some(),
+                labels != Labels::Given,
+                "{name}: points are counted"
+            );
+            if labels != Labels::OfAll {
+                assert_same_boxes(&one.own.iter().collect::<Vec<_>>(), &other.own);
             }
         }
     }
 }
 
-fn same_sweep(one: &Sweep, other: &Sweep, map_from_theirs: &Isometry3<f64>) {
+fn assert_same_sweep(one: &Sweep, other: &Sweep, map_from_theirs: &Isometry3<f64>) {
     let apart = one.map_from_body.inv_mul(&(map_from_theirs * other.map_from_body));
     assert!(
         apart.translation.vector.norm() < 1e-6 && apart.rotation.angle() < 1e-6,
@@ -265,20 +266,18 @@ fn same_sweep(one: &Sweep, other: &Sweep, map_from_theirs: &Isometry3<f64>) {
     assert_eq!(one.len(), other.len());
     for (a, b) in [(&one.x, &other.x), (&one.y, &other.y), (&one.z, &other.z)] {
         // A step of a float32 at 100 m.
-        let off = a.iter().zip(b.iter()).map(|(a, b)| (a - b).abs()).fold(0.0, f32::max);
-        assert!(off < 8e-6, "points are {off} m apart");
+        let off = a.iter().zip(b.iter()).find(|(a, b)| !((*a - *b).abs() < 8e-6));
+        assert_eq!(off, None);
     }
     assert_eq!(one.intensity, other.intensity);
 }
 
-fn same_truth(expected: &[&Box3], found: &[Box3]) {
+fn assert_same_boxes(expected: &[&Box3], found: &[Box3]) {
     for object in found {
         let near = |known: &&&Box3| (Point3::from(known.center) - Point3::from(object.center)).norm() < 1e-5;
         let known = expected.iter().find(near).unwrap_or_else(|| panic!("{object:?}"));
-        assert!(
-            normalize_yaw(known.yaw - object.yaw).abs() < 1e-6,
-            "{known:?}, {object:?}"
-        );
+        let turned = normalize_yaw(known.yaw - object.yaw).abs();
+        assert!(turned < 1e-6, "{known:?}, {object:?}");
         let sizes = |object: &Box3| [object.length, object.width, object.height];
         let off = sizes(known).into_iter().zip(sizes(object)).map(|(a, b)| (a - b).abs());
         assert!(off.fold(0.0, f64::max) < 1e-6, "{known:?}, {object:?}");

@@ -3,10 +3,11 @@
 use std::path::Path;
 
 use nalgebra::{UnitQuaternion, Vector3};
+use realo_schemas::Box3;
 use realo_schemas::geometry::transform_box;
 use serde_json::{Map, Value, json};
 
-use crate::files::{matrix, pcd, write};
+use crate::files::{matrix, pcd, write, write_json};
 use crate::scene::{HEIGHT, Scene};
 
 pub const NAMES: [&str; 2] = ["cav_vehicle_lidar_robosense", "rsu_s110_lidar_ouster_south"];
@@ -19,7 +20,7 @@ pub fn write_scene(scene: &Scene, data: &Path) {
         let time = format!("{START}_{:09}", frame * 100_000_000);
         let sweeps = [0, 1].map(|side| &scene.agents[side].sweeps[frame]);
         for (sensor, sweep) in SENSORS.iter().zip(sweeps) {
-            // Of 256, as the sensors count.
+            // Parts of 256, as these sensors report them.
             let intensities: Vec<f32> = sweep
                 .cloud()
                 .intensity
@@ -34,28 +35,10 @@ pub fn write_scene(scene: &Scene, data: &Path) {
         }
         let [map_from_vehicle, map_from_south] = sweeps.map(|sweep| sweep.map_from_lidar(HEIGHT));
         let both = [sweeps[0].labels(), sweeps[1].labels()].concat();
-        let object = |object: &realo_schemas::Box3| {
-            let there = transform_box(&map_from_south.inverse(), object);
-            let ([x, y, z], id) = (there.center, there.track.expect("a track"));
-            let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), there.yaw);
-            let val = [
-                x,
-                y,
-                z,
-                turn.i,
-                turn.j,
-                turn.k,
-                turn.w,
-                there.length,
-                there.width,
-                there.height,
-            ];
-            let class = there.class.to_uppercase();
-            let data =
-                json!({"name": format!("{class}_{id}"), "type": class, "cuboid": {"name": "shape3D", "val": val}});
-            (format!("track-{id}"), json!({"object_data": data}))
-        };
-        let objects: Map<String, Value> = both.iter().map(object).collect();
+        let objects: Map<String, Value> = both
+            .iter()
+            .map(|object| cuboid(&transform_box(&map_from_south.inverse(), object)))
+            .collect();
         let south_from_vehicle = matrix(&map_from_south.inv_mul(&map_from_vehicle));
         let transform =
             json!({"src": SENSORS[0], "dst": SENSORS[1], "transform_src_to_dst": {"matrix4x4": south_from_vehicle}});
@@ -63,6 +46,17 @@ pub fn write_scene(scene: &Scene, data: &Path) {
         let labels = json!({"openlabel": {"frames": {"0": frame}, "coordinate_systems": {}}});
         let fused = format!("{}_and_{}_registered", SENSORS[1], SENSORS[0]);
         let file = data.join(format!("train/labels_point_clouds/{fused}/{time}_{fused}.json"));
-        write(&file, labels.to_string().as_bytes());
+        write_json(&file, &labels);
     }
+}
+
+/// A box of the labels' frame, by its track.
+fn cuboid(object: &Box3) -> (String, Value) {
+    let ([x, y, z], id) = (object.center, object.track.expect("a track"));
+    let turn = UnitQuaternion::from_axis_angle(&Vector3::z_axis(), object.yaw);
+    let size = [object.length, object.width, object.height];
+    let val = [&[x, y, z, turn.i, turn.j, turn.k, turn.w][..], &size].concat();
+    let class = object.class.to_uppercase();
+    let data = json!({"name": format!("{class}_{id}"), "type": class, "cuboid": {"name": "shape3D", "val": val}});
+    (format!("track-{id}"), json!({"object_data": data}))
 }

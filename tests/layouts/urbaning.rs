@@ -5,10 +5,11 @@ use std::path::Path;
 
 use nalgebra::Translation3;
 use realo_logs::AgentKind;
+use realo_schemas::Box3;
 use serde_json::{Value, json};
 
 use crate::arrays::{npy, npz};
-use crate::files::{matrix, write};
+use crate::files::{matrix, write, write_json};
 use crate::scene::{HEIGHT, Scene, Sweep};
 
 pub const NAMES: [&str; 3] = ["cav_vehicle1", "cav_vehicle2", "rsu_crossing1_11_lidar"];
@@ -36,10 +37,7 @@ pub fn write_scene(scene: &Scene, data: &Path) {
             if is_vehicle {
                 let (vehicle, _) = sensor.split_once('_').expect("a vehicle's sensor");
                 let state = json!({"pose": {"transformation": matrix(&sweep.map_from_body)}});
-                write(
-                    &sequence.join(format!("{vehicle}_state/{}.json", at(frame))),
-                    state.to_string().as_bytes(),
-                );
+                write_json(&sequence.join(format!("{vehicle}_state/{}.json", at(frame))), &state);
             }
             for object in sweep.labels() {
                 add(&mut tracks, frame, &object);
@@ -50,37 +48,35 @@ pub fn write_scene(scene: &Scene, data: &Path) {
     let lines = frames.map(|frame| format!("{0},{0},{0},{0}\n", at(frame)));
     let table = format!("frame,{}\n{}", SENSORS.join(","), lines.collect::<String>());
     write(&sequence.join("timesync_info.csv"), table.as_bytes());
-    write(
-        &data.join("calibration.json"),
-        json!({"lidars": lidars}).to_string().as_bytes(),
-    );
+    write_json(&data.join("calibration.json"), &json!({"lidars": lidars}));
     let tracks: Vec<Value> = tracks.into_values().collect();
-    write(
+    write_json(
         &data.join(format!("labels/{SEQUENCE}.json")),
-        json!({"tracks": tracks}).to_string().as_bytes(),
+        &json!({"tracks": tracks}),
     );
 }
 
 /// Adds where an object is at a frame, unless another agent labelled it there.
-fn add(tracks: &mut BTreeMap<u64, Value>, frame: usize, object: &realo_schemas::Box3) {
+fn add(tracks: &mut BTreeMap<u64, Value>, frame: usize, object: &Box3) {
     let id = object.track.expect("a track");
     let track = tracks.entry(id).or_insert_with(|| {
         json!({
-            "track_id": id, "object_type": &*object.class, "timestamps": [], "positions": [], "orientations": [], "dimensions": [
-                object.length, object.width, object.height
-            ],
+            "track_id": id, "object_type": &*object.class, "timestamps": [], "positions": [], "orientations": [],
+            "dimensions": [object.length, object.width, object.height],
         })
     });
     let seconds = json!(at(frame) as f64 / 1000.0);
-    let mut push = |key: &str, value: Value| track[key].as_array_mut().expect("a list").push(value);
-    push("timestamps", seconds.clone());
-    push("positions", json!(object.center));
-    push("orientations", json!(object.yaw));
     let times = track["timestamps"].as_array().expect("a list");
-    if times.iter().rev().skip(1).any(|time| *time == seconds) {
-        for key in ["timestamps", "positions", "orientations"] {
-            let _ = track[key].as_array_mut().expect("a list").pop();
-        }
+    if times.contains(&seconds) {
+        return;
+    }
+    let columns = [
+        ("timestamps", seconds),
+        ("positions", json!(object.center)),
+        ("orientations", json!(object.yaw)),
+    ];
+    for (key, value) in columns {
+        track[key].as_array_mut().expect("a list").push(value);
     }
 }
 

@@ -48,6 +48,13 @@ pub(crate) fn motion_faults(log: &Log, agent: &str) -> Result<Vec<String>, LogEr
         let Measured { all, stamps, unusable } = measured(log, agent, stream)?;
         let topic = stream.topic(agent);
         found.extend(unusable.map(|words| format!("{topic}: {words}")));
+        let positions = (stream == Stream::Fix).then_some(all.fixes.len());
+        if let (false, Some(0)) = (stamps.is_empty(), positions) {
+            found.push(format!(
+                "{topic}: none of {} messages has a position, all say that the receiver has no fix (status -1): look at its antenna",
+                stamps.len()
+            ));
+        }
         let faults = [
             disorder(&stamps),
             stuck_faults(&all.imu, &poses),

@@ -1,101 +1,116 @@
-//! Whether one of the two sensors of an IMU stands still while the other goes on.
+//! Whether a sensor of an IMU, or one axis of it, stands still while the rest goes on.
 
 use realo_schemas::{ImuSample, Nanos};
 
 use crate::motion_faults::STUCK_IMU;
 use crate::motion_turns::Place;
 
-/// Of samples with equal readings of one sensor, this share at least has others of the other one: else the whole unit is stuck.
+/// Of samples with equal readings, this share at least has others of the rest: else the whole unit is stuck.
 const ALIVE: f64 = 0.5;
 /// An agent that came less far, m, may have stood, and a sensor with coarse steps then says the same all the time.
 const MOVED: f64 = 2.0;
+/// One axis may repeat its reading so often on the way.
+const STUCK_AXIS: usize = 100;
 
-/// Gyroscopes that say the same all the time while accelerometers do not, and the other way round.
+/// Gyroscopes that say the same all the time while accelerometers do not, the other way round, or one axis of either.
 pub(crate) fn stuck_faults(samples: &[ImuSample], poses: &[Place]) -> Vec<String> {
+    let found = sensor_faults(samples, poses);
+    // A sensor that is stuck has three axes that are.
+    match found.is_empty() {
+        true => axis_faults(samples, poses),
+        false => found,
+    }
+}
+
+fn sensor_faults(samples: &[ImuSample], poses: &[Place]) -> Vec<String> {
     let named = [
         ("angular rates", "forces", "gyroscopes are"),
         ("specific forces", "rates", "accelerometers are"),
     ];
-    let longest = [0, 1].map(|part| longest_alone(samples, poses, part));
+    let longest = [0, 1].map(|part| {
+        let other = move |sample: &ImuSample| readings(sample)[1 - part];
+        let is_moving = |run: &[ImuSample]| moved_during(run, poses).unwrap_or(true);
+        longest(samples, |sample| readings(sample)[part], other, is_moving)
+    });
     let found = named.into_iter().zip(longest).filter(|(_, run)| *run >= STUCK_IMU);
     let words = |((these, others, stuck), run)| {
         format!(
             "{these} of {run} samples in a row are equal to the bit, and {others} are not: the {stuck} stuck; leave such samples out"
         )
     };
-    let whole: Vec<String> = found.map(words).collect();
-    if !whole.is_empty() {
-        return whole;
-    }
-    let sensors = [("angular rate", "gyroscope"), ("specific force", "accelerometer")];
-    let axes = sensors
-        .into_iter()
-        .enumerate()
-        .flat_map(|(part, names)| (0..3).map(move |axis| (part, axis, names)));
-    let runs = axes.map(|(part, axis, names)| (longest_of_axis(samples, poses, part, axis), axis, names));
-    let words = |(run, axis, (reading, sensor)): (usize, usize, (&str, &str))| {
-        let axis = ["x", "y", "z"][axis];
-        format!(
-            "the {reading} about {axis} of {run} samples in a row is equal to the bit, while others change: this {sensor} is stuck; leave \
-             such samples out"
-        )
-    };
-    runs.filter(|(run, ..)| *run >= STUCK_IMU).map(words).collect()
+    found.map(words).collect()
 }
 
-/// The longest run of samples of a moving agent with an equal reading of one axis that has others elsewhere.
-fn longest_of_axis(samples: &[ImuSample], poses: &[Place], part: usize, axis: usize) -> usize {
-    let reading = |sample: &ImuSample| [sample.angular_rate, sample.specific_force][part][axis];
+/// What one axis repeats while the agent moves, as its poses say. An axis that never changes is one that the unit does not have.
+fn axis_faults(samples: &[ImuSample], poses: &[Place]) -> Vec<String> {
+    let sensors = [
+        ("angular rate about", "gyroscope"),
+        ("specific force along", "accelerometer"),
+    ];
+    let axes = (0..2).flat_map(|part| (0..3).map(move |axis| (part, axis)));
+    let stuck = axes.filter_map(|(part, axis)| {
+        let rest = |sample: &ImuSample| {
+            let mut all = readings(sample);
+            all[part][axis] = 0.0;
+            all
+        };
+        let is_moving = |run: &[ImuSample]| run.len() < samples.len() && moved_during(run, poses) == Some(true);
+        let run = longest(samples, |sample| readings(sample)[part][axis], rest, is_moving);
+        let (reading, sensor) = sensors[part];
+        let words = || {
+            format!(
+                "the {reading} {} of {run} samples in a row is equal to the bit, while others change: this {sensor} is stuck; leave such \
+                 samples out",
+                ["x", "y", "z"][axis]
+            )
+        };
+        (run >= STUCK_AXIS).then(words)
+    });
+    stuck.collect()
+}
+
+/// Angular rates and specific forces.
+fn readings(sample: &ImuSample) -> [[f64; 3]; 2] {
+    [sample.angular_rate, sample.specific_force]
+}
+
+/// The longest run of samples of a moving agent with one equal reading, while the rest changes.
+fn longest<T: PartialEq, R: PartialEq>(
+    samples: &[ImuSample],
+    reading: impl Fn(&ImuSample) -> T,
+    rest: impl Fn(&ImuSample) -> R,
+    is_moving: impl Fn(&[ImuSample]) -> bool,
+) -> usize {
     let runs = samples.chunk_by(|one, next| reading(one) == reading(next));
-    // The whole unit that stands still has words of its own.
-    let is_alone =
-        |run: &&[ImuSample]| run.len() < samples.len() && run.array_windows().any(|[one, next]| !is_same(one, next));
-    let long = runs.filter(|run| run.len() >= STUCK_IMU).filter(is_alone);
-    let moving = long.filter(|run| moved_during(run, poses));
-    moving.map(<[ImuSample]>::len).max().unwrap_or(0)
-}
-
-fn is_same(one: &ImuSample, next: &ImuSample) -> bool {
-    one.angular_rate == next.angular_rate && one.specific_force == next.specific_force
-}
-
-/// The longest run of samples of a moving agent with equal readings of a sensor, while the other one's change.
-fn longest_alone(samples: &[ImuSample], poses: &[Place], part: usize) -> usize {
-    let reading = |sample: &ImuSample, part: usize| [sample.angular_rate, sample.specific_force][part];
-    let runs = samples.chunk_by(|one, next| reading(one, part) == reading(next, part));
-    let is_alone = |run: &&[ImuSample]| {
-        let other = |sample: &ImuSample| reading(sample, 1 - part);
-        let changes = run
-            .array_windows()
-            .filter(|[one, next]| other(one) != other(next))
-            .count();
+    let is_alive = |run: &&[ImuSample]| {
+        let changes = run.array_windows().filter(|[one, next]| rest(one) != rest(next));
+        let changes = changes.count();
         changes as f64 >= ALIVE * (run.len() - 1) as f64 && changes > 0
     };
-    let long = runs.filter(|run| run.len() >= STUCK_IMU).filter(is_alone);
-    let moving = long.filter(|run| moved_during(run, poses));
-    moving.map(<[ImuSample]>::len).max().unwrap_or(0)
+    let long = runs.filter(|run| run.len() >= STUCK_IMU).filter(is_alive);
+    long.filter(|run| is_moving(run))
+        .map(<[ImuSample]>::len)
+        .max()
+        .unwrap_or(0)
 }
 
-fn moved_during(run: &[ImuSample], poses: &[Place]) -> bool {
+/// Whether an agent moved in the time of samples; `None` where no poses say it.
+fn moved_during(run: &[ImuSample], poses: &[Place]) -> Option<bool> {
     match run {
         [first, .., last] => moved(poses, first.taken.stamp, last.taken.stamp),
-        _ => false,
+        _ => Some(false),
     }
 }
 
-/// Whether an agent moved from one time to another. Without poses in between it may have moved.
-fn moved(poses: &[Place], from: Nanos, to: Nanos) -> bool {
+/// Whether an agent moved from one time to another.
+fn moved(poses: &[Place], from: Nanos, to: Nanos) -> Option<bool> {
     let at = |stamp: Nanos| poses.partition_point(|(known, _)| *known < stamp);
-    match &poses[at(from)..at(to).max(at(from))] {
-        [] => true,
-        [(_, first), rest @ ..] => {
-            let far = |place: &[f64; 3]| {
-                let squares = place.iter().zip(first).map(|(a, b)| (a - b) * (a - b));
-                squares.sum::<f64>() > MOVED * MOVED
-            };
-            rest.iter().any(|(_, place)| far(place))
-        }
-    }
+    let ((_, first), rest) = poses[at(from)..at(to).max(at(from))].split_first()?;
+    let far = |place: &[f64; 3]| {
+        let squares = place.iter().zip(first).map(|(a, b)| (a - b) * (a - b));
+        squares.sum::<f64>() > MOVED * MOVED
+    };
+    Some(rest.iter().any(|(_, place)| far(place)))
 }
 
 #[cfg(test)]
@@ -133,16 +148,26 @@ mod tests {
         // The whole unit has its own words, and an agent that stands says nothing.
         assert_eq!(said([300, 300], &driven), "");
         // One axis, which said other things before. What a unit never measures is no fault.
-        let axis = |from: usize, poses: &[Place]| {
-            let mut axis = samples([never, never]);
-            let held = axis[from].angular_rate[2];
-            axis[from..].iter_mut().for_each(|sample| sample.angular_rate[2] = held);
-            stuck_faults(&axis, poses).join("; ")
+        let stuck = |from: usize, poses: &[Place], of: fn(&mut ImuSample) -> &mut f64| {
+            let mut samples = samples([never, never]);
+            let held = *of(&mut samples[from]);
+            samples[from..].iter_mut().for_each(|sample| *of(sample) = held);
+            stuck_faults(&samples, poses).join("; ")
         };
+        let axis = |from: usize, poses: &[Place]| stuck(from, poses, |sample| &mut sample.angular_rate[2]);
         let gyroscope = "the angular rate about z of 100 samples in a row is equal to the bit, while others change: this gyroscope is stuck; \
                          leave such samples out";
         assert_eq!(axis(300, &driven), gyroscope);
-        assert_eq!(axis(0, &driven), "");
+        assert_eq!(
+            (axis(0, &driven), axis(301, &driven), axis(300, &[])),
+            Default::default()
+        );
+        let force = stuck(300, &driven, |sample| &mut sample.specific_force[0]);
+        assert!(
+            force.starts_with("the specific force along x of 100 samples")
+                && force.contains("this accelerometer is stuck"),
+            "{force}"
+        );
         let stands: Vec<Place> = driven.iter().map(|(stamp, _)| (*stamp, [3.0, 5.0, 0.0])).collect();
         assert_eq!(said([300, never], &stands), "");
         assert_eq!(axis(300, &stands), "");

@@ -191,13 +191,20 @@ fn damaged_sensors_are_named() {
     assert!(found.contains("/cav1/fix: 1 of 100 positions jump"), "{found}");
     let found = problems(Some([48.1, 17.6, 519.0]), &|_, _, _| {});
     assert!(found.contains("off the agent's poses"), "{found}");
-    // A receiver that says that it has no position is sound.
+    // A receiver that says that it has no position for a time is sound.
     let found = problems(Some(ORIGIN), &|k, _, fix| {
         if k < 500 {
             (fix.quality, fix.geodetic) = (None, [f64::NAN; 3]);
         }
     });
     assert_eq!(found, "");
+    let found = problems(Some(ORIGIN), &|_, _, fix| {
+        (fix.quality, fix.geodetic) = (None, [f64::NAN; 3])
+    });
+    assert!(
+        found.contains("/cav1/fix: none of 100 messages has a position") && found.contains("antenna"),
+        "{found}"
+    );
 }
 
 #[test]

@@ -101,7 +101,7 @@ const FAULTS: [Counter; Fault::ALL.len()] = [
     ),
     fault(
         "imu_stuck",
-        "IMU samples of which the angular rates, the specific forces, both, or one axis of them do not change at all",
+        "IMU samples whose angular rates, specific forces, both, or one axis of either do not change at all",
         "samples of the IMU were not used, because they do not change at all",
         SENSORS,
     ),
@@ -215,14 +215,14 @@ const FAULTS: [Counter; Fault::ALL.len()] = [
     ),
     certain(
         "wheel_track",
-        "times in which the wheels contradict the track of GNSS or of sweeps on the map, or turn against the IMU's accelerations",
-        "times were found in which the wheels contradict the track of GNSS or of sweeps on the map, or turn against the IMU's accelerations",
+        "times in which the wheels contradict the track of GNSS or of sweeps on the map, turn against the IMU's accelerations, or report more than 6 m/s backwards",
+        "times were found in which the wheels contradict the track of GNSS or of sweeps on the map, turn against the IMU's accelerations, or report more than 6 m/s backwards",
         "speeds are m/s, and positive forwards",
     ),
     certain(
         "wheel_excluded",
-        "speeds of the wheels that were not used, because they contradicted the track of GNSS or of sweeps not long ago",
-        "speeds of the wheels were not used, because they contradicted the track of GNSS or of sweeps not long ago",
+        "speeds of the wheels that were not used, because the wheels were found wrong not long ago",
+        "speeds of the wheels were not used, because the wheels were found wrong not long ago",
         "speeds are m/s, and positive forwards",
     ),
     fault(
@@ -386,8 +386,8 @@ impl Reported {
             out.found(counter(Fault::GnssOffset), agent, words);
         }
         let part = match stuck {
-            Some(Stuck::Gyroscopes) => "the angular rates of its gyroscopes alone",
-            Some(Stuck::Accelerometers) => "the forces of its accelerometers alone",
+            Some(Stuck::Gyroscopes) => "the angular rates of its gyroscopes, all or one axis",
+            Some(Stuck::Accelerometers) => "the forces of its accelerometers, all or one axis",
             Some(Stuck::Whole) | None => return,
         };
         out.found(counter(Fault::ImuStuck), agent, || part.into());

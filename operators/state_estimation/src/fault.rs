@@ -29,7 +29,7 @@ faults! {
     ImuNotFinite "imu_not_finite",
     /// An IMU sample at the end of the unit's range.
     ImuSaturated "imu_saturated",
-    /// IMU samples of which rates, forces, both, or one axis of them do not change at all.
+    /// IMU samples whose rates, forces, both, or one axis of either do not change at all.
     ImuStuck "imu_stuck",
     /// The mean specific force does not point up with the length of gravity: the IMU is upside down, turned against its
     /// mounting, or reports in other units.
@@ -68,9 +68,10 @@ faults! {
     WheelGate "wheel_gate",
     /// Motion across the wheels that chance does not explain, such as a skid.
     WheelSkid "wheel_skid",
-    /// The wheels contradict the track of GNSS or scans, or turn against the IMU's accelerations.
+    /// The wheels contradict the track of GNSS or scans, turn against the IMU's accelerations, or report a speed backwards that no vehicle
+    /// keeps up.
     WheelTrack "wheel_track",
-    /// A wheel speed that is not used, because the wheels contradicted a track not long ago.
+    /// A wheel speed that is not used, because the wheels were found wrong not long ago.
     WheelExcluded "wheel_excluded",
     /// A scan's pose with NaN or infinity.
     ScanNotFinite "scan_not_finite",

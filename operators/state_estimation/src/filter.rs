@@ -37,7 +37,7 @@ const SILENT: Nanos = 1_000_000_000;
 const MISLED: Nanos = 20_000_000_000;
 /// Where the gyro was wrong, the estimate is taken for so much more than the scan's distance from it: m, and rad of tilt and heading.
 const LED: [f64; 3] = [0.5, 0.03, 0.1];
-/// No vehicle drives backwards so fast, m/s, for so long, ns.
+/// Wheels that report so much backwards, m/s, for so long, ns, count backwards.
 const BACKWARDS: (f64, Nanos) = (6.0, 300_000_000);
 /// Scans that are turned against the estimate, rad, so many in a row.
 const TURNED: (f64, u32) = (0.05, 3);
@@ -77,7 +77,7 @@ pub(crate) struct Filter {
     /// When scans last contradicted the gyro.
     misled: Option<Nanos>,
     rolling: Rolling,
-    /// Since when wheels say that the vehicle drives backwards faster than any.
+    /// Since when wheels report more than [`BACKWARDS`].
     backwards: Option<Nanos>,
     /// When scans last contradicted the wheels.
     slipped: Option<Nanos>,
@@ -196,7 +196,9 @@ impl Filter {
     }
 
     fn take_imu(&mut self, sample: &ImuSample, rules: &Rules) -> Result<(), Fault> {
-        self.monitor.look(sample, self.agreement.odometer.speed, rules)?;
+        let rolling = self.rolling.speed(sample.stamp);
+        self.monitor
+            .look(sample, self.agreement.odometer.speed.and(rolling), rules)?;
         let is_misled = self.is_misled(sample.stamp);
         self.advance(sample.stamp, Some(sample).filter(|_| !is_misled), rules);
         let period = self.heard.replace(sample.stamp).map(|last| sample.stamp - last);
@@ -224,12 +226,17 @@ impl Filter {
         self.advance(stamp, None, rules);
         self.track.wheel(stamp, speed);
         self.rolling.wheel(stamp, speed);
-        if self.counts_backwards(stamp, speed) {
-            self.faults.note(Fault::WheelTrack, stamp);
-            let is_supported = self.scans.is_used(stamp, RECENT);
-            self.give_wheels_up(stamp, is_supported, Fault::GnssConflict);
+        if self.note_backwards(stamp, speed) {
+            if !self.is_without_wheels(stamp) {
+                self.faults.note(Fault::WheelTrack, stamp);
+            }
+            // An estimate that goes backwards as well was begun by these wheels: it is turned by 180°, which fixes support.
+            let rate = self.rate(stamp);
+            let ahead = |belief: &Belief| models::forward_speed(belief, rules, rate.as_ref()) > 0.0;
+            let is_supported = self.scans.is_used(stamp, RECENT) || self.belief.as_ref().is_some_and(ahead);
+            self.give_wheels_up(stamp, is_supported, None);
         }
-        if self.slipped.is_some_and(|at| stamp - at <= MISLED) {
+        if self.is_without_wheels(stamp) {
             return Err(Fault::WheelExcluded);
         }
         self.agreement.wheel(stamp, speed);
@@ -254,8 +261,8 @@ impl Filter {
         used(belief.correct(&innovation), Fault::WheelSkid)
     }
 
-    /// Whether wheels have said for some time that the vehicle drives backwards faster than any.
-    fn counts_backwards(&mut self, stamp: Nanos, speed: f64) -> bool {
+    /// Takes a speed; whether wheels have reported more than [`BACKWARDS`] for its whole time.
+    fn note_backwards(&mut self, stamp: Nanos, speed: f64) -> bool {
         let (fastest, long) = BACKWARDS;
         self.backwards = (speed < -fastest).then(|| self.backwards.unwrap_or(stamp));
         self.backwards.is_some_and(|since| stamp - since >= long)
@@ -335,7 +342,7 @@ impl Filter {
             self.faults.note(fault, stamp);
             if fault == Fault::WheelTrack {
                 let is_supported = self.fixes.supports(stamp, RECENT);
-                self.give_wheels_up(stamp, is_supported, Fault::GnssConflict);
+                self.give_wheels_up(stamp, is_supported, Some(Fault::GnssConflict));
             }
         }
     }
@@ -402,7 +409,7 @@ impl Filter {
         if self.rolling.scan(stamp, scan, self.agreement.odometer.heading, rules) {
             self.faults.note(Fault::WheelTrack, stamp);
             let is_supported = self.scans.is_used(stamp, RECENT);
-            self.give_wheels_up(stamp, is_supported, Fault::ScanConflict);
+            self.give_wheels_up(stamp, is_supported, Some(Fault::ScanConflict));
         } else if self.rolling.is_right() {
             self.slipped = None;
         }
@@ -423,19 +430,28 @@ impl Filter {
         }
     }
 
-    /// Goes on without wheels. An estimate that what contradicts them does not support begins anew, by this fault.
-    fn give_wheels_up(&mut self, stamp: Nanos, is_supported: bool, fault: Fault) {
-        let was_given_up = self.slipped.replace(stamp).is_some_and(|at| stamp - at <= MISLED);
-        if was_given_up {
+    /// Goes on without wheels. An estimate that what contradicts them does not support begins anew, by this fault where it is one of others.
+    fn give_wheels_up(&mut self, stamp: Nanos, is_supported: bool, fault: Option<Fault>) {
+        let was_without = self.is_without_wheels(stamp);
+        self.slipped = Some(stamp);
+        if was_without {
             return;
         }
         self.agreement.odometer.speed = None;
         self.resting = None;
         match (&self.belief, is_supported) {
             (None, _) => self.start = Start::after(self.start.after_loss),
-            (Some(_), false) => self.restart(fault, stamp),
+            (Some(_), false) => match fault {
+                Some(fault) => self.restart(fault, stamp),
+                None => self.begin_anew(stamp),
+            },
             (Some(_), true) => {}
         }
+    }
+
+    /// Whether wheels were found wrong not long ago.
+    fn is_without_wheels(&self, stamp: Nanos) -> bool {
+        self.slipped.is_some_and(|at| stamp - at <= MISLED)
     }
 
     /// Whether scans contradicted the gyro not long ago.
@@ -499,6 +515,10 @@ impl Filter {
     /// Gives the estimate up, and begins anew.
     fn restart(&mut self, fault: Fault, stamp: Nanos) {
         self.faults.note(fault, stamp);
+        self.begin_anew(stamp);
+    }
+
+    fn begin_anew(&mut self, stamp: Nanos) {
         self.start = Start::after(self.belief.is_some() || self.start.after_loss);
         self.belief = None;
         self.scans = Source::default();
@@ -506,6 +526,7 @@ impl Filter {
         self.resting = None;
         self.leaving = None;
         self.witness = Witness::default();
+        self.backwards = None;
         (self.turned, self.away) = ((0, stamp), (0, stamp));
     }
 }

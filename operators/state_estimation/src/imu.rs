@@ -12,7 +12,7 @@ const REPEATS: u32 = 2;
 /// Gyroscopes or accelerometers alone may repeat their values so often: in a vehicle that rolls by its wheels, and where no wheels say whether it
 /// does. Readings of a vehicle that stands may be less than a step of the unit apart for as long as it stands.
 const ALONE: [u32; 2] = [20, 50];
-/// One axis of a vehicle that rolls by its wheels may repeat its value so often.
+/// One axis of an IMU may repeat its value so often while the wheels roll.
 const ONE_AXIS: u32 = 100;
 /// Time over which the specific force is averaged, s.
 const AVERAGE_S: f64 = 1.0;
@@ -39,7 +39,7 @@ pub enum Stuck {
 struct Axis {
     /// Samples in a row that repeat the one before, while the vehicle rolls.
     run: u32,
-    /// Whether its value ever changed: units that turn about one axis only leave the others at 0.
+    /// Whether its value ever changed: units with one gyroscope report 0 about the other axes.
     has_changed: bool,
 }
 
@@ -98,20 +98,15 @@ impl ImuMonitor {
 
     /// What has repeated its values too often with the next sample.
     fn repeated(&mut self, sample: &ImuSample, speed: Option<f64>, rules: &Rules) -> Option<Stuck> {
-        let up = rules.body_from_imu.rotation.inverse() * Vector3::z();
-        let last = self.last.replace(*sample);
-        let equal = last.map_or([[false; 3]; 2], |last| {
-            let of = |a: &Vector3<f64>, b: &Vector3<f64>| [0, 1, 2].map(|axis| a[axis] == b[axis]);
-            [
-                of(&last.angular_rate, &sample.angular_rate),
-                of(&last.specific_force, &sample.specific_force),
-            ]
-        });
-        if last.is_some() {
-            let rolls = speed.is_some_and(|speed| speed != 0.0);
-            let axes = self.axes.iter_mut().flatten().zip(equal.into_iter().flatten());
-            axes.for_each(|(axis, is_same)| axis.look(is_same, rolls));
-        }
+        let last = self.last.replace(*sample)?;
+        let pairs = [
+            (last.angular_rate, sample.angular_rate),
+            (last.specific_force, sample.specific_force),
+        ];
+        let equal = pairs.map(|(a, b)| [0, 1, 2].map(|axis| a[axis] == b[axis]));
+        let rolls = speed.is_some_and(|speed| speed != 0.0);
+        let axes = self.axes.iter_mut().flatten().zip(equal.into_iter().flatten());
+        axes.for_each(|(axis, is_same)| axis.look(is_same, rolls));
         let same = equal.map(|axes| axes == [true; 3]);
         let stands = speed == Some(0.0);
         for (run, same) in self.alone.iter_mut().zip(same) {
@@ -129,16 +124,16 @@ impl ImuMonitor {
             _ if self.repeats > REPEATS => Some(Stuck::Whole),
             [true, _] => Some(Stuck::Gyroscopes),
             [_, true] => Some(Stuck::Accelerometers),
-            [false, false] => self.one_axis(up.iamax()),
+            [false, false] => self.one_axis(rules),
         }
     }
 
-    /// Which sensor has an axis that stands still while the vehicle rolls. The one about which it turns must change, the others where
-    /// they ever did.
-    fn one_axis(&self, up_axis: usize) -> Option<Stuck> {
+    /// Which sensor has an axis that is stuck. The gyroscope nearest to the vertical must change; other axes must once they ever did.
+    fn one_axis(&self, rules: &Rules) -> Option<Stuck> {
+        let up = rules.body_from_imu.rotation.inverse() * Vector3::z();
         let is_stuck = |axis: &Axis| axis.run > ONE_AXIS && axis.has_changed;
         let [rates, forces] = &self.axes;
-        match rates.iter().any(is_stuck) || rates[up_axis].run > ONE_AXIS {
+        match rates.iter().any(is_stuck) || rates[up.iamax()].run > ONE_AXIS {
             true => Some(Stuck::Gyroscopes),
             false => forces.iter().any(is_stuck).then_some(Stuck::Accelerometers),
         }
@@ -174,11 +169,14 @@ pub(crate) fn held(sample: &ImuSample, seconds: f64) -> Increment {
 
 #[cfg(test)]
 mod tests {
+    use std::f64::consts::FRAC_PI_2;
+
+    use nalgebra::Isometry3;
     use realo_geodesy::{Geodetic, LocalFrame};
     use realo_schemas::from_seconds;
 
     use super::*;
-    use crate::{Settings, Unit};
+    use crate::{Mounting, Settings, Unit};
 
     /// Shows 400 samples at 100 Hz; the first that is stuck, and what of it.
     fn stuck(
@@ -229,22 +227,35 @@ mod tests {
     fn one_axis_that_stands_still_is_found_while_the_vehicle_rolls() {
         let noise = |k: usize| (k * 37 % 101) as f64 * 1e-3;
         let frame = LocalFrame::new(Geodetic::default()).unwrap();
-        let rules = Rules::new(Settings::new(Unit::Tactical, frame));
-        // Samples of which one axis stops at the 150th: 0 to 2 of the gyroscopes, 3 to 5 of the accelerometers.
-        let found = |stuck: Option<usize>, from: usize, speed: Option<f64>| {
+        let level = Settings::new(Unit::Tactical, frame);
+        // An IMU whose x points up, as the body's z does.
+        let upright = Settings {
+            mounting: Mounting {
+                body_from_imu: Isometry3::rotation(-Vector3::y() * FRAC_PI_2),
+                ..level.mounting
+            },
+            ..level.clone()
+        };
+        // Samples of which one axis stops: 0 to 2 of the gyroscopes, 3 to 5 of the accelerometers.
+        let found_of = |settings: &Settings, stuck: Option<usize>, from: usize, speed: Option<f64>| {
+            let rules = Rules::new(settings.clone());
+            let up = rules.body_from_imu.rotation.inverse() * Vector3::z() * 9.8;
             let mut monitor = ImuMonitor::default();
             let first = (0..400).find(|k| {
                 let value = |axis: usize| noise(if stuck == Some(axis) { (*k).min(from) } else { *k } + axis);
                 let sample = ImuSample {
                     stamp: from_seconds(0.01 * *k as f64),
                     angular_rate: Vector3::new(value(0), value(1), value(2)),
-                    specific_force: Vector3::new(value(3), value(4), 9.8 + value(5)),
+                    specific_force: up + Vector3::new(value(3), value(4), value(5)),
                 };
                 monitor.look(&sample, speed, &rules) == Err(Fault::ImuStuck)
             });
             first.map(|at| (at, monitor.stuck))
         };
+        let found = |stuck, from, speed| found_of(&level, stuck, from, speed);
         assert_eq!(found(None, 0, Some(8.0)), None);
+        let never = [0, 2].map(|axis| found_of(&upright, Some(axis), 0, Some(8.0)));
+        assert_eq!(never, [Some((101, Some(Stuck::Gyroscopes))), None]);
         for axis in 0..6 {
             let sensor = if axis < 3 {
                 Stuck::Gyroscopes

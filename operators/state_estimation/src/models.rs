@@ -127,6 +127,11 @@ pub(crate) fn wheel_speed(belief: &Belief, rules: &Rules, speed: f64, rate: Opti
         .with(SCALE, &Matrix1::new(axle.x))
 }
 
+/// How fast the vehicle goes ahead, m/s.
+pub(crate) fn forward_speed(belief: &Belief, rules: &Rules, rate: Option<&Vector3<f64>>) -> f64 {
+    axle(belief, rules, rate).0.x
+}
+
 /// Wheels roll along, not across and not up (non-holonomic constraint).
 pub(crate) fn no_skid(belief: &Belief, rules: &Rules, rate: Option<&Vector3<f64>>) -> Innovation<2> {
     let (axle, blocks) = axle(belief, rules, rate);

@@ -67,6 +67,12 @@ impl Rolling {
         self.wheel = Some((stamp, speed));
     }
 
+    /// The last speed, unless wheels are silent since.
+    pub fn speed(&self, stamp: Nanos) -> Option<f64> {
+        let (_, speed) = self.wheel.filter(|(last, _)| to_seconds(stamp - last) <= SOON_S)?;
+        Some(speed)
+    }
+
     /// Moves on; what wheels said that are silent since is not known any more.
     fn advance(&mut self, to: Nanos) {
         if let Some((last, speed)) = self.wheel {

@@ -192,7 +192,7 @@ impl Track {
             // Speed has not changed enough yet: a gyro that is right leaves the wheels.
             (Some(lateral), None) if lateral < OPPOSITE && self.is_turning_right => Some(Fault::WheelTrack),
             (Some(lateral), None) if (OPPOSITE..NONE).contains(&lateral) => Some(Fault::ImuTrack),
-            // No curve yet.
+            // Before a curve an IMU with a wrong sign looks the same. Wheels are left out, since an estimate goes on without them.
             (None, Some(forward)) if forward < OPPOSITE => Some(Fault::WheelTrack),
             _ => None,
         }

@@ -355,8 +355,8 @@ fn fields_are_taken_by_their_names_and_directions_without_a_return_stay_nan() {
     let made = Made::new();
     let expected = imported(&made, &cloud(|i| i as f32 / POINTS as f32));
     let names = "ring intensity z y x";
-    let mut other = head(names, "2 4 4 4 4", "U F F F F", "1 1 1 1 1");
-    // An organised cloud: each third row is a beam that came back from nothing.
+    let mut reordered = head(names, "2 4 4 4 4", "U F F F F", "1 1 1 1 1");
+    // An organised cloud: each third row is a direction without a return.
     let without = POINTS / 2;
     let text = String::from_utf8(head(names, "2 4 4 4 4", "U F F F F", "1 1 1 1 1")).unwrap();
     let mut organised = text
@@ -369,14 +369,14 @@ fn fields_are_taken_by_their_names_and_directions_without_a_return_stay_nan() {
             &[share, z, y, x].map(f32::to_le_bytes).concat(),
         ]
         .concat();
-        other.extend(&row);
+        reordered.extend(&row);
         organised.extend(&row);
         if i % 2 == 1 {
             organised.extend([0, 0]);
             organised.extend([0.0, f32::NAN, f32::NAN, f32::NAN].map(f32::to_le_bytes).concat());
         }
     }
-    assert!(imported(&made, &other) == expected, "order");
+    assert!(imported(&made, &reordered) == expected, "order");
     // As in logs of ours, a row of NaN is a direction without a return.
     let found = imported(&made, &organised);
     assert_eq!(found.len(), POINTS + without);

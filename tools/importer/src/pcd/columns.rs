@@ -41,6 +41,7 @@ impl Binary<'_> {
             false => (field.before, self.point_size),
         };
         (0..self.points).map(move |i| {
+            // One check of bounds for a value, not for each of its bytes.
             let mut value = [0; N];
             value.copy_from_slice(&self.values[start + i * step..][..N]);
             value

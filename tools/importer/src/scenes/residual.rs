@@ -127,7 +127,7 @@ impl<'a> Cells<'a> {
         found.map(|other| (point - *other).norm()).fold(f64::INFINITY, f64::min)
     }
 
-    /// Whether a point is so near that both see it.
+    /// Whether a point of these cells is within [`FITS`] of this one.
     fn has_near(&self, point: &Vector3<f64>) -> bool {
         let [[x0, y0, z0], [x1, y1, z1]] = [-FITS, FITS].map(|metres| cell(&point.add_scalar(metres)));
         let columns = (x0..=x1).flat_map(|x| (y0..=y1).map(move |y| [x, y]));
