@@ -9,8 +9,10 @@ use crate::motion_turns::Place;
 const ALIVE: f64 = 0.5;
 /// An agent that came less far, m, may have stood, and a sensor with coarse steps then says the same all the time.
 const MOVED: f64 = 2.0;
-/// One axis may repeat its reading so often on the way.
+/// One axis may repeat its reading so often on the way. One that is measured has changed as often.
 const STUCK_AXIS: usize = 100;
+/// Steps of a sensor that is fine enough to change with each sample: rad/s of gyroscopes, m/s² of accelerometers.
+const FINE: [f64; 2] = [2e-4, 3e-3];
 
 /// Gyroscopes that say the same all the time while accelerometers do not, the other way round, or one axis of either.
 pub(crate) fn stuck_faults(samples: &[ImuSample], poses: &[Place]) -> Vec<String> {
@@ -41,7 +43,8 @@ fn sensor_faults(samples: &[ImuSample], poses: &[Place]) -> Vec<String> {
     found.map(words).collect()
 }
 
-/// What one axis repeats while the agent moves, as its poses say. An axis that never changes is one that the unit does not have.
+/// What one axis repeats while the agent moves, as its poses say. An axis that hardly ever changes is one that the unit does not have, and
+/// units with coarse steps repeat themselves on straight roads.
 fn axis_faults(samples: &[ImuSample], poses: &[Place]) -> Vec<String> {
     let sensors = [
         ("angular rate about", "gyroscope"),
@@ -54,7 +57,15 @@ fn axis_faults(samples: &[ImuSample], poses: &[Place]) -> Vec<String> {
             all[part][axis] = 0.0;
             all
         };
-        let is_moving = |run: &[ImuSample]| run.len() < samples.len() && moved_during(run, poses) == Some(true);
+        let steps = samples
+            .array_windows()
+            .map(|[one, next]| (readings(next)[part][axis] - readings(one)[part][axis]).abs());
+        let steps: Vec<f64> = steps.filter(|step| *step > 0.0).collect();
+        let finest = steps.iter().copied().fold(f64::INFINITY, f64::min);
+        if steps.len() < STUCK_AXIS || finest > FINE[part] {
+            return None;
+        }
+        let is_moving = |run: &[ImuSample]| moved_during(run, poses) == Some(true);
         let run = longest(samples, |sample| readings(sample)[part][axis], rest, is_moving);
         let (reading, sensor) = sensors[part];
         let words = || {
@@ -122,7 +133,7 @@ mod tests {
     const MS: Nanos = 1_000_000;
 
     fn samples(stuck_from: [usize; 2]) -> Vec<ImuSample> {
-        let noise = |seed: usize, k: usize| ((k * seed) % 101) as f64 * 1e-3;
+        let noise = |seed: usize, k: usize| ((k * seed) % 101) as f64 * 1e-6;
         let sample = |k: usize| ImuSample {
             taken: Taken {
                 stamp: k as Nanos * 10 * MS,

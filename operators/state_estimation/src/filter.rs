@@ -197,8 +197,9 @@ impl Filter {
 
     fn take_imu(&mut self, sample: &ImuSample, rules: &Rules) -> Result<(), Fault> {
         let rolling = self.rolling.speed(sample.stamp);
-        self.monitor
-            .look(sample, self.agreement.odometer.speed.and(rolling), rules)?;
+        let rolls = rolling.is_some_and(|speed| speed != 0.0);
+        let believed = self.agreement.odometer.speed.and(rolling);
+        self.monitor.look(sample, believed, rolls, rules)?;
         let is_misled = self.is_misled(sample.stamp);
         self.advance(sample.stamp, Some(sample).filter(|_| !is_misled), rules);
         let period = self.heard.replace(sample.stamp).map(|last| sample.stamp - last);
@@ -226,14 +227,14 @@ impl Filter {
         self.advance(stamp, None, rules);
         self.track.wheel(stamp, speed);
         self.rolling.wheel(stamp, speed);
-        if self.note_backwards(stamp, speed) {
+        if self.note_backwards(stamp, speed) && !self.track.agrees_with_wheels() {
             if !self.is_without_wheels(stamp) {
                 self.faults.note(Fault::WheelTrack, stamp);
             }
             // An estimate that goes backwards as well was begun by these wheels: it is turned by 180°, which fixes support.
             let rate = self.rate(stamp);
-            let ahead = |belief: &Belief| models::forward_speed(belief, rules, rate.as_ref()) > 0.0;
-            let is_supported = self.scans.is_used(stamp, RECENT) || self.belief.as_ref().is_some_and(ahead);
+            let follows = |belief: &Belief| models::forward_speed(belief, rules, rate.as_ref()) < 0.5 * speed;
+            let is_supported = self.scans.is_used(stamp, RECENT) || !self.belief.as_ref().is_some_and(follows);
             self.give_wheels_up(stamp, is_supported, None);
         }
         if self.is_without_wheels(stamp) {

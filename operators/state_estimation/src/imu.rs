@@ -14,6 +14,12 @@ const REPEATS: u32 = 2;
 const ALONE: [u32; 2] = [20, 50];
 /// One axis of an IMU may repeat its value so often while the wheels roll.
 const ONE_AXIS: u32 = 100;
+/// An axis that is measured has changed so often.
+const CHANGES: u32 = 100;
+/// Steps of a sensor that is fine enough to change with each sample: rad/s of gyroscopes, m/s² of accelerometers.
+const FINE: [f64; 2] = [2e-4, 3e-3];
+/// What rounding changes, as where axes of the unit were turned into those of the vehicle.
+const ROUNDING: f64 = 1e-9;
 /// Time over which the specific force is averaged, s.
 const AVERAGE_S: f64 = 1.0;
 /// The averaged force may lean so far from up (cosine), as it does at the hardest braking.
@@ -39,17 +45,21 @@ pub enum Stuck {
 struct Axis {
     /// Samples in a row that repeat the one before, while the vehicle rolls.
     run: u32,
-    /// Whether its value ever changed: units with one gyroscope report 0 about the other axes.
-    has_changed: bool,
+    /// How often its value changed: units with one gyroscope report 0 about the other axes.
+    changes: u32,
+    /// The smallest of its steps.
+    step: Option<f64>,
 }
 
 impl Axis {
-    fn look(&mut self, is_same: bool, rolls: bool) {
-        self.has_changed |= !is_same;
-        self.run = match is_same {
-            true => self.run.saturating_add(u32::from(rolls)),
-            false => 0,
-        };
+    fn look(&mut self, step: f64, rolls: bool) {
+        if step <= ROUNDING {
+            self.run = self.run.saturating_add(u32::from(rolls));
+            return;
+        }
+        self.run = 0;
+        self.changes = self.changes.saturating_add(1);
+        self.step = Some(self.step.map_or(step, |known| known.min(step)));
     }
 }
 
@@ -69,11 +79,11 @@ pub(crate) struct ImuMonitor {
 }
 
 impl ImuMonitor {
-    /// Looks at the next sample; `speed`: the last one of the wheels, m/s.
+    /// Looks at the next sample; `speed`: the last one of the wheels, m/s; `rolls`: whether wheels turn, also if they are not believed.
     ///
     /// # Errors
     /// Why it cannot be used.
-    pub fn look(&mut self, sample: &ImuSample, speed: Option<f64>, rules: &Rules) -> Result<(), Fault> {
+    pub fn look(&mut self, sample: &ImuSample, speed: Option<f64>, rolls: bool, rules: &Rules) -> Result<(), Fault> {
         let force = rules.body_from_imu.rotation * sample.specific_force;
         let share = match &self.last {
             None => 1.0,
@@ -83,7 +93,7 @@ impl ImuMonitor {
             }
         };
         self.average += (force - self.average) * share;
-        if let Some(stuck) = self.repeated(sample, speed, rules) {
+        if let Some(stuck) = self.repeated(sample, speed, rolls, rules) {
             self.stuck = Some(stuck);
             return Err(Fault::ImuStuck);
         }
@@ -97,17 +107,16 @@ impl ImuMonitor {
     }
 
     /// What has repeated its values too often with the next sample.
-    fn repeated(&mut self, sample: &ImuSample, speed: Option<f64>, rules: &Rules) -> Option<Stuck> {
+    fn repeated(&mut self, sample: &ImuSample, speed: Option<f64>, rolls: bool, rules: &Rules) -> Option<Stuck> {
         let last = self.last.replace(*sample)?;
         let pairs = [
             (last.angular_rate, sample.angular_rate),
             (last.specific_force, sample.specific_force),
         ];
-        let equal = pairs.map(|(a, b)| [0, 1, 2].map(|axis| a[axis] == b[axis]));
-        let rolls = speed.is_some_and(|speed| speed != 0.0);
-        let axes = self.axes.iter_mut().flatten().zip(equal.into_iter().flatten());
-        axes.for_each(|(axis, is_same)| axis.look(is_same, rolls));
-        let same = equal.map(|axes| axes == [true; 3]);
+        let steps = pairs.map(|(a, b)| [0, 1, 2].map(|axis| (a[axis] - b[axis]).abs()));
+        let axes = self.axes.iter_mut().flatten().zip(steps.into_iter().flatten());
+        axes.for_each(|(axis, step)| axis.look(step, rolls));
+        let same = pairs.map(|(a, b)| a == b);
         let stands = speed == Some(0.0);
         for (run, same) in self.alone.iter_mut().zip(same) {
             *run = match same {
@@ -128,14 +137,21 @@ impl ImuMonitor {
         }
     }
 
-    /// Which sensor has an axis that is stuck. The gyroscope nearest to the vertical must change; other axes must once they ever did.
+    /// Which sensor has an axis that is stuck. Only one with steps so fine that no two samples of it are equal by chance can tell. The
+    /// gyroscope nearest to the vertical must change; other axes must once they did.
     fn one_axis(&self, rules: &Rules) -> Option<Stuck> {
         let up = rules.body_from_imu.rotation.inverse() * Vector3::z();
-        let is_stuck = |axis: &Axis| axis.run > ONE_AXIS && axis.has_changed;
-        let [rates, forces] = &self.axes;
-        match rates.iter().any(is_stuck) || rates[up.iamax()].run > ONE_AXIS {
+        let is_stuck = |part: usize| {
+            let axes = &self.axes[part];
+            let is_fine = axes
+                .iter()
+                .any(|axis| axis.changes >= CHANGES && axis.step.is_some_and(|step| step <= FINE[part]));
+            let is_measured = |at: usize| axes[at].changes >= CHANGES || (part == 0 && at == up.iamax());
+            is_fine && (0..3).any(|at| axes[at].run > ONE_AXIS && is_measured(at))
+        };
+        match is_stuck(0) {
             true => Some(Stuck::Gyroscopes),
-            false => forces.iter().any(is_stuck).then_some(Stuck::Accelerometers),
+            false => is_stuck(1).then_some(Stuck::Accelerometers),
         }
     }
 }
@@ -176,7 +192,7 @@ mod tests {
     use realo_schemas::from_seconds;
 
     use super::*;
-    use crate::{Mounting, Settings, Unit};
+    use crate::{Settings, Unit};
 
     /// Shows 400 samples at 100 Hz; the first that is stuck, and what of it.
     fn stuck(
@@ -194,7 +210,8 @@ mod tests {
                 angular_rate: Vector3::new(0.0, 0.01, turn),
                 specific_force: Vector3::new(push, 0.0, 9.8),
             };
-            monitor.look(&sample, speed(*k), &rules) == Err(Fault::ImuStuck)
+            let rolls = speed(*k).is_some_and(|speed| speed != 0.0);
+            monitor.look(&sample, speed(*k), rolls, &rules) == Err(Fault::ImuStuck)
         });
         first.map(|at| (at, monitor.stuck))
     }
@@ -223,39 +240,43 @@ mod tests {
         );
     }
 
+    /// Axes: 0 to 2 of the gyroscopes, 3 to 5 of the accelerometers. Shows 800 samples of an IMU with these steps, one axis of which holds
+    /// what it says at a sample; the first that is stuck, and what of it.
+    fn held(
+        settings: &Settings,
+        axis: Option<usize>,
+        from: usize,
+        step: f64,
+        rolls: bool,
+    ) -> Option<(usize, Option<Stuck>)> {
+        let noise = |k: usize| (k * 37 % 101) as f64 / 37.0 * step;
+        let rules = Rules::new(settings.clone());
+        let up = rules.body_from_imu.rotation.inverse() * Vector3::z() * 9.8;
+        let mut monitor = ImuMonitor::default();
+        let first = (0..800).find(|k| {
+            let value = |at: usize| noise(if axis == Some(at) { (*k).min(from) } else { *k } + 7 * at);
+            let sample = ImuSample {
+                stamp: from_seconds(0.01 * *k as f64),
+                angular_rate: Vector3::new(value(0), value(1), value(2)),
+                specific_force: up + Vector3::new(value(3), value(4), value(5)),
+            };
+            let speed = if rolls { 8.0 } else { 0.0 };
+            monitor.look(&sample, Some(speed), rolls, &rules) == Err(Fault::ImuStuck)
+        });
+        first.map(|at| (at, monitor.stuck))
+    }
+
+    fn settings(body_from_imu: Isometry3<f64>) -> Settings {
+        let frame = LocalFrame::new(Geodetic::default()).unwrap();
+        let mut settings = Settings::new(Unit::Tactical, frame);
+        settings.mounting.body_from_imu = body_from_imu;
+        settings
+    }
+
     #[test]
     fn one_axis_that_stands_still_is_found_while_the_vehicle_rolls() {
-        let noise = |k: usize| (k * 37 % 101) as f64 * 1e-3;
-        let frame = LocalFrame::new(Geodetic::default()).unwrap();
-        let level = Settings::new(Unit::Tactical, frame);
-        // An IMU whose x points up, as the body's z does.
-        let upright = Settings {
-            mounting: Mounting {
-                body_from_imu: Isometry3::rotation(-Vector3::y() * FRAC_PI_2),
-                ..level.mounting
-            },
-            ..level.clone()
-        };
-        // Samples of which one axis stops: 0 to 2 of the gyroscopes, 3 to 5 of the accelerometers.
-        let found_of = |settings: &Settings, stuck: Option<usize>, from: usize, speed: Option<f64>| {
-            let rules = Rules::new(settings.clone());
-            let up = rules.body_from_imu.rotation.inverse() * Vector3::z() * 9.8;
-            let mut monitor = ImuMonitor::default();
-            let first = (0..400).find(|k| {
-                let value = |axis: usize| noise(if stuck == Some(axis) { (*k).min(from) } else { *k } + axis);
-                let sample = ImuSample {
-                    stamp: from_seconds(0.01 * *k as f64),
-                    angular_rate: Vector3::new(value(0), value(1), value(2)),
-                    specific_force: up + Vector3::new(value(3), value(4), value(5)),
-                };
-                monitor.look(&sample, speed, &rules) == Err(Fault::ImuStuck)
-            });
-            first.map(|at| (at, monitor.stuck))
-        };
-        let found = |stuck, from, speed| found_of(&level, stuck, from, speed);
-        assert_eq!(found(None, 0, Some(8.0)), None);
-        let never = [0, 2].map(|axis| found_of(&upright, Some(axis), 0, Some(8.0)));
-        assert_eq!(never, [Some((101, Some(Stuck::Gyroscopes))), None]);
+        let level = settings(Isometry3::identity());
+        assert_eq!(held(&level, None, 0, 1e-4, true), None);
         for axis in 0..6 {
             let sensor = if axis < 3 {
                 Stuck::Gyroscopes
@@ -263,15 +284,26 @@ mod tests {
                 Stuck::Accelerometers
             };
             assert_eq!(
-                found(Some(axis), 150, Some(8.0)),
+                held(&level, Some(axis), 150, 1e-4, true),
                 Some((251, Some(sensor))),
                 "axis {axis}"
             );
-            assert_eq!(found(Some(axis), 150, Some(0.0)), None);
-            assert_eq!(found(Some(axis), 150, None), None);
-            // What never changed is not measured, but for the turns of the vehicle.
+            assert_eq!(held(&level, Some(axis), 150, 1e-4, false), None);
+            // What hardly ever changed is not measured, but for the turns of the vehicle.
             let expected = (axis == 2).then_some((101, Some(Stuck::Gyroscopes)));
-            assert_eq!(found(Some(axis), 0, Some(8.0)), expected, "axis {axis}");
+            assert_eq!(held(&level, Some(axis), 0, 1e-4, true), expected, "axis {axis}");
+        }
+        // An IMU whose x points up, as the body's z does.
+        let upright = settings(Isometry3::rotation(-Vector3::y() * FRAC_PI_2));
+        let never = [0, 2].map(|axis| held(&upright, Some(axis), 0, 1e-4, true));
+        assert_eq!(never, [Some((101, Some(Stuck::Gyroscopes))), None]);
+    }
+
+    #[test]
+    fn units_with_coarse_steps_repeat_themselves_on_straight_roads() {
+        let level = settings(Isometry3::identity());
+        for axis in 0..6 {
+            assert_eq!(held(&level, Some(axis), 150, 0.005, true), None, "axis {axis}");
         }
     }
 

@@ -156,6 +156,11 @@ impl Track {
         self.named.is_some_and(|named| now - named <= MEMORY)
     }
 
+    /// Whether the vehicle was pushed as its wheels got faster and slower.
+    pub fn agrees_with_wheels(&self) -> bool {
+        self.forward.share().is_some_and(|share| share > NONE)
+    }
+
     fn by_track(&mut self) -> Option<Fault> {
         self.wheels?;
         let [Some(first), Some(middle), Some(last)] = self.places else {
@@ -192,8 +197,6 @@ impl Track {
             // Speed has not changed enough yet: a gyro that is right leaves the wheels.
             (Some(lateral), None) if lateral < OPPOSITE && self.is_turning_right => Some(Fault::WheelTrack),
             (Some(lateral), None) if (OPPOSITE..NONE).contains(&lateral) => Some(Fault::ImuTrack),
-            // Before a curve an IMU with a wrong sign looks the same. Wheels are left out, since an estimate goes on without them.
-            (None, Some(forward)) if forward < OPPOSITE => Some(Fault::WheelTrack),
             _ => None,
         }
     }
