@@ -12,6 +12,8 @@ const REPEATS: u32 = 2;
 /// Gyroscopes or accelerometers alone may repeat their values so often: in a vehicle that rolls by its wheels, and where no wheels say whether it
 /// does. Readings of a vehicle that stands may be less than a step of the unit apart for as long as it stands.
 const ALONE: [u32; 2] = [20, 50];
+/// So many times as often where their steps are coarse, for the time of a straight road.
+const COARSE: u32 = 10;
 /// One axis of an IMU may repeat its value so often while the wheels roll.
 const ONE_AXIS: u32 = 100;
 /// An axis that is measured has changed so often.
@@ -129,12 +131,19 @@ impl ImuMonitor {
             _ => 0,
         };
         let most = ALONE[usize::from(speed.is_none())];
-        match self.alone.map(|run| run > most) {
+        let is_stuck = [0, 1].map(|part| self.alone[part] > if self.is_coarse(part) { COARSE * most } else { most });
+        match is_stuck {
             _ if self.repeats > REPEATS => Some(Stuck::Whole),
             [true, _] => Some(Stuck::Gyroscopes),
             [_, true] => Some(Stuck::Accelerometers),
             [false, false] => self.one_axis(rules),
         }
+    }
+
+    /// Whether all steps of a sensor so far were coarser than its noise.
+    fn is_coarse(&self, part: usize) -> bool {
+        let steps = self.axes[part].iter().filter_map(|axis| axis.step);
+        steps.reduce(f64::min).is_some_and(|step| step > FINE[part])
     }
 
     /// Which sensor has an axis that is stuck. Only one with steps so fine that no two samples of it are equal by chance can tell. The
@@ -143,9 +152,7 @@ impl ImuMonitor {
         let up = rules.body_from_imu.rotation.inverse() * Vector3::z();
         let is_stuck = |part: usize| {
             let axes = &self.axes[part];
-            let is_fine = axes
-                .iter()
-                .any(|axis| axis.changes >= CHANGES && axis.step.is_some_and(|step| step <= FINE[part]));
+            let is_fine = !self.is_coarse(part) && axes.iter().any(|axis| axis.changes >= CHANGES);
             let is_measured = |at: usize| axes[at].changes >= CHANGES || (part == 0 && at == up.iamax());
             is_fine && (0..3).any(|at| axes[at].run > ONE_AXIS && is_measured(at))
         };
@@ -218,7 +225,7 @@ mod tests {
 
     #[test]
     fn each_sensor_that_stands_still_is_found_by_itself() {
-        let noise = |k: usize| (k * 37 % 101) as f64 * 1e-3;
+        let noise = |k: usize| (k * 37 % 101) as f64 * 1e-6;
         let from = |start: usize, k: usize| noise(k.min(start));
         let moving = |_: usize| Some(8.0);
         assert_eq!(stuck(moving, |k| [noise(k), noise(k + 1)]), None);
@@ -297,6 +304,22 @@ mod tests {
         let upright = settings(Isometry3::rotation(-Vector3::y() * FRAC_PI_2));
         let never = [0, 2].map(|axis| held(&upright, Some(axis), 0, 1e-4, true));
         assert_eq!(never, [Some((101, Some(Stuck::Gyroscopes))), None]);
+    }
+
+    #[test]
+    fn one_gyroscope_with_coarse_steps_may_say_the_same_on_a_straight_road() {
+        let rules = Rules::new(settings(Isometry3::identity()));
+        let mut monitor = ImuMonitor::default();
+        // It turns for a second, and drives straight on for 1.5 s.
+        let noise = |k: usize| (k * 37 % 101) as f64 * 1e-4;
+        for k in 0..250 {
+            let sample = ImuSample {
+                stamp: from_seconds(0.01 * k as f64),
+                angular_rate: Vector3::new(0.0, 0.0, 0.0017 * k.min(100) as f64),
+                specific_force: Vector3::new(noise(k), noise(k + 7), 9.8),
+            };
+            assert_eq!(monitor.look(&sample, Some(8.0), true, &rules), Ok(()), "{k}");
+        }
     }
 
     #[test]
