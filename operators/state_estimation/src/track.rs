@@ -274,3 +274,37 @@ impl Leaving {
         is_long && is_far && (self.recent - first).norm() > LEFT_SPEED * seconds
     }
 }
+
+#[cfg(test)]
+mod tests {
+    use realo_geodesy::{Geodetic, LocalFrame};
+
+    use super::*;
+    use crate::{Settings, Unit};
+
+    #[test]
+    fn accelerations_say_whether_wheels_count_the_way_that_the_vehicle_goes() {
+        let frame = LocalFrame::new(Geodetic::default()).unwrap();
+        let rules = Rules::new(Settings::new(Unit::Tactical, frame));
+        // Ten seconds that begin at rest: pushes ahead, m/s², and what the wheels make of them.
+        let agrees = |push: f64, sign: f64| {
+            let mut track = Track::default();
+            for k in 0..1000 {
+                let stamp = from_seconds(0.01 * f64::from(k));
+                let sample = ImuSample {
+                    stamp,
+                    angular_rate: Vector3::zeros(),
+                    specific_force: Vector3::new(push, 0.0, 9.8),
+                };
+                track.imu(&sample, 0.01, &rules);
+                if k % 10 == 0 {
+                    track.wheel(stamp, sign * push * 0.01 * f64::from(k));
+                }
+            }
+            track.agrees_with_wheels()
+        };
+        // Ahead, and truly backwards.
+        assert!(agrees(1.0, 1.0) && agrees(-1.0, 1.0));
+        assert!(!agrees(1.0, -1.0) && !agrees(0.0, 1.0));
+    }
+}
