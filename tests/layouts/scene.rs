@@ -266,8 +266,7 @@ fn assert_same_sweep(one: &Sweep, other: &Sweep, map_from_theirs: &Isometry3<f64
     assert_eq!(one.len(), other.len());
     for (a, b) in [(&one.x, &other.x), (&one.y, &other.y), (&one.z, &other.z)] {
         // A step of a float32 at 100 m.
-        let off = a.iter().zip(b.iter()).find(|(a, b)| !((*a - *b).abs() < 8e-6));
-        assert_eq!(off, None);
+        assert!(a.iter().zip(b.iter()).all(|(a, b)| (a - b).abs() < 8e-6));
     }
     assert_eq!(one.intensity, other.intensity);
 }
