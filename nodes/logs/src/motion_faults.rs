@@ -48,8 +48,7 @@ pub(crate) fn motion_faults(log: &Log, agent: &str) -> Result<Vec<String>, LogEr
         let Measured { all, stamps, unusable } = measured(log, agent, stream)?;
         let topic = stream.topic(agent);
         found.extend(unusable.map(|words| format!("{topic}: {words}")));
-        let positions = (stream == Stream::Fix).then_some(all.fixes.len());
-        if let (false, Some(0)) = (stamps.is_empty(), positions) {
+        if stream == Stream::Fix && all.fixes.is_empty() && !stamps.is_empty() {
             found.push(format!(
                 "{topic}: none of {} messages has a position, all say that the receiver has no fix (status -1): look at its antenna",
                 stamps.len()
