@@ -6,7 +6,7 @@ mod scans;
 
 use std::path::{Path, PathBuf};
 
-use common::{folder, realo, realo_ok, run_virtual, simulated, text};
+use common::{folder, json, realo, realo_ok, run_virtual, simulated, text};
 use nalgebra::{Isometry3, Vector3};
 use realo_logs::{
     ANTENNA_FRAME, AgentInfo, AgentKind, FixReading, IMU_FRAME, ImuReading, LogInfo, LogWriter, MapOrigin, sensor_frame,
@@ -115,6 +115,61 @@ fn errors_of_every_agent_are_in_the_result_and_recorded_poses_have_none() {
     };
     assert!(init(&by_gnss).is_some(), "a unit needs some positions");
     assert_eq!(unsent(&by_gnss), init(&by_gnss));
+}
+
+/// What localization costs is said by a run with the poses of the log, which is made once.
+#[test]
+fn a_table_says_what_localization_costs() {
+    let log = drive("localization", &["--inertial", "tactical"]);
+    let folder = folder("localization-cost");
+    let out = folder.join("gnss");
+    let (log, out_shown) = (shown(&log), shown(&out));
+    let run = |more: &[&str]| {
+        let args = [
+            "run",
+            "late_fusion",
+            "--recorded-detections",
+            "--mode",
+            "virtual",
+            "--ego",
+            "cav1",
+            "--log",
+            &log,
+            "--out",
+            &out_shown,
+            "--localization",
+            "gnss",
+        ];
+        let output = realo([args.as_slice(), more].concat());
+        assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
+        (text(&output.stdout), text(&output.stderr))
+    };
+    let recorded = folder.join("gnss_recorded");
+    let (table, said) = run(&["--no-cost"]);
+    assert!(
+        !table.contains("Localization, at") && !said.contains("once more"),
+        "{said}"
+    );
+    assert!(!recorded.exists());
+    run(&["--json"]);
+    assert!(!recorded.exists(), "a program compares by itself");
+    let (table, said) = run(&[]);
+    assert!(said.contains("once more with the poses of the log"), "{said}");
+    let mean = |folder: &Path| {
+        let result = json(&folder.join("result.json"));
+        result.pointer("/accuracy/sorted/mAP/0.5").unwrap().as_f64().unwrap()
+    };
+    let (own, exact) = (mean(&out), mean(&recorded));
+    // Lines are broken anywhere.
+    let words = |text: &str| text.split_whitespace().collect::<Vec<_>>().join(" ");
+    let expected = format!(
+        "poses of gnss cost {:.3} in late_fusion: {own:.3}, and {exact:.3} with",
+        exact - own
+    );
+    assert!(words(&table).contains(&expected), "{table}");
+    let (again, said) = run(&[]);
+    assert!(!said.contains("once more"), "{said}");
+    assert!(words(&again).contains(&expected), "{again}");
 }
 
 #[test]

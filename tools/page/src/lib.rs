@@ -12,6 +12,7 @@
 //! | `alone` | which run of the ego alone a run is compared with |
 //! | `curves` | precision and recall, distributions |
 //! | `verdict` | three sentences on what came out |
+//! | `localized` | what estimated poses cost |
 //! | `points` | sweeps of agents, in few bytes |
 //! | `html` | the page around the document |
 //! | `live` | the sweeps of a run that goes on |
@@ -24,6 +25,7 @@ mod error;
 mod html;
 mod judged;
 mod live;
+mod localized;
 mod own;
 mod points;
 mod recorded;
@@ -39,6 +41,7 @@ pub use beside::beside;
 pub use error::{DifferentProtocols, OtherRecording, PageError};
 pub use html::html;
 pub use live::{Live, Watched, live_page};
+pub use localized::localization_cost;
 pub use verdict::sentences as verdict;
 
 use alone::{Against, against};

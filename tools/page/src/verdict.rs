@@ -7,6 +7,7 @@ use realo_results::{Ages, Fates, Run, Spread};
 use realo_schemas::Kind;
 
 use crate::alone::{Against, against, is_alone};
+use crate::localized::localization_cost;
 
 /// The overlap that sentences are about, where the protocol has it.
 const IOU: &str = "0.5";
@@ -36,6 +37,7 @@ pub fn sentences(runs: &[(&str, &Run)]) -> Vec<String> {
     if let (Some(last), Some(without)) = (said.last_mut(), without_margin(&scored, &against)) {
         *last = format!("{last} {without}");
     }
+    said.extend(localization_cost(runs, runs));
     said.extend(ended(runs));
     said.push(traffic(runs));
     said

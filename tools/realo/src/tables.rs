@@ -57,8 +57,8 @@ impl Show {
 }
 
 /// What a reader wants to know first: the numbers that matter, what they say, and what to look at next. `earlier`: runs that are not part of
-/// the table; a run by itself is compared with them.
-pub fn print_opening(runs: &[(&str, &Run)], earlier: &[(&str, &Run)], next: &str) {
+/// the table; a run by itself is compared with them. `references`: the same runs with the poses of the log.
+pub fn print_opening(runs: &[(&str, &Run)], earlier: &[(&str, &Run)], references: &[(&str, &Run)], next: &str) {
     let mut sentences = realo_page::verdict(runs);
     if let [(_, only)] = runs
         && let Some(first) = sentences.first_mut()
@@ -66,6 +66,8 @@ pub fn print_opening(runs: &[(&str, &Run)], earlier: &[(&str, &Run)], next: &str
     {
         *first = format!("{first} {beside}");
     }
+    let others = [references, earlier].concat();
+    sentences.extend(realo_page::localization_cost(runs, &others));
     sentences.push(format!("Next: {next}"));
     println!("{}", realo_report::opening(runs, &sentences, width()));
 }

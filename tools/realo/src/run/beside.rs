@@ -9,6 +9,12 @@ const BESIDE: usize = 32;
 
 /// Complete runs in the folders beside a run's, with their names. What cannot be read is none of this run's.
 pub fn earlier(folder: &Path) -> Vec<(String, Run)> {
+    let named = |path: PathBuf| Some((path.display().to_string(), read_run(&path).ok()?));
+    folders(folder).into_iter().filter_map(named).collect()
+}
+
+/// Folders beside a run's that hold results.
+pub fn folders(folder: &Path) -> Vec<PathBuf> {
     let beside = folder.parent().filter(|parent| !parent.as_os_str().is_empty());
     let Ok(entries) = std::fs::read_dir(beside.unwrap_or(Path::new("."))) else {
         return Vec::new();
@@ -19,6 +25,5 @@ pub fn earlier(folder: &Path) -> Vec<(String, Run)> {
         .collect();
     folders.sort();
     folders.truncate(BESIDE);
-    let named = |path: PathBuf| Some((path.display().to_string(), read_run(&path).ok()?));
-    folders.into_iter().filter_map(named).collect()
+    folders
 }

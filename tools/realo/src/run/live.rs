@@ -61,7 +61,7 @@ pub fn main(args: &Args, file: &Path) -> Result<Outcome> {
         out: Some(out.clone()),
         ..args.clone()
     };
-    show(&shown, &[(&*name, run)]);
+    show(&shown, &[(&*name, run)], &[]);
     Ok(match signals::first() {
         Some(ending) => {
             eprintln!("realo: ended by {ending}; these are the results until then");
@@ -128,6 +128,7 @@ fn of_logs(args: &Args) -> Option<&'static str> {
         ("--agents", !args.agents.is_empty()),
         ("--compute", args.compute.is_some()),
         ("--protocol", args.protocol.is_some()),
+        ("--no-cost", args.no_cost),
         ("--resume", args.resume),
         ("--view and --foxglove", args.view.is_asked()),
         ("--link", link.is_some()),

@@ -35,6 +35,11 @@ impl PoseSource {
         (PoseSource::Gnss, "gnss", "estimated from IMU, GNSS and wheels"),
     ];
 
+    /// Whether agents find poses themselves.
+    pub fn is_estimated(self) -> bool {
+        self != PoseSource::Recorded
+    }
+
     /// As it is written.
     pub fn name(self) -> &'static str {
         let of = PoseSource::ALL.iter().find(|(source, ..)| *source == self);

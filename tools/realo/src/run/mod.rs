@@ -4,6 +4,7 @@ mod batch;
 mod beside;
 mod choices;
 mod compute;
+mod cost;
 mod decisions;
 pub mod described;
 mod dora;
@@ -106,6 +107,9 @@ pub struct Args {
     /// Where results go [default: out/GRAPH]
     #[arg(long)]
     pub out: Option<PathBuf>,
+    /// Do not play once more with the poses of the log to say what --localization costs
+    #[arg(long)]
+    pub no_cost: bool,
     /// Go on with a batch that ended early: complete runs of the same graph, settings, model and log are taken as they are
     #[arg(long)]
     pub resume: bool,
@@ -220,6 +224,11 @@ impl Args {
         if self.offline && (self.choices.link.is_some() || self.compute.is_some()) {
             bail!("--offline has neither delays nor loss: drop --link and --compute, or --offline");
         }
+        if self.no_cost && !self.choices.localization.is_some_and(PoseSource::is_estimated) {
+            bail!(
+                "--no-cost: only what --localization map or gnss costs is found by playing once more: drop --no-cost"
+            );
+        }
         if mode == Mode::Realtime && self.compute.is_some() {
             bail!("--compute is for virtual time; in realtime stages take what they take: add --mode virtual");
         }
@@ -333,6 +342,8 @@ pub fn missing_programs(graph: &FlatGraph) -> Vec<String> {
 struct Planned<'a> {
     /// The graph's name.
     name: &'a str,
+    /// Its file.
+    graph: PathBuf,
     batch: Batch,
     /// Settings that the graph was not given, for who reads its results.
     skipped: Option<String>,
@@ -373,7 +384,11 @@ pub fn main(args: &Args) -> Result<Outcome> {
         folders.keep_new();
     }
     drop(folders);
-    show(args, &runs);
+    let references = match args.show.is_table() {
+        true => cost::references(args, mode, &planned, &runs),
+        false => Vec::new(),
+    };
+    show(args, &runs, &references);
     let outcome = conclude(&planned, &runs, &failures);
     if let Some(view) = view.filter(|_| !runs.is_empty()) {
         view.stay(&args.view);
@@ -420,7 +435,13 @@ fn plan<'a>(
             ..args.clone()
         };
         let batch = failures.note(name, prepare::batch(&own, mode, graph, name))?;
-        planned.extend(batch.map(|batch| Planned { name, batch, skipped }));
+        let graph = graph.clone();
+        planned.extend(batch.map(|batch| Planned {
+            name,
+            graph,
+            batch,
+            skipped,
+        }));
     }
     let mut plans = planned.iter().flat_map(|planned| planned.batch.plans());
     if args.choices.project.is_some() && !planned.is_empty() && !plans.any(RunPlan::can_project) {
@@ -456,7 +477,10 @@ fn play<'a>(
     view: Option<&View>,
 ) -> Result<Vec<(&'a str, Run)>> {
     let mut runs = Vec::new();
-    for Planned { name, batch, skipped } in planned {
+    for Planned {
+        name, batch, skipped, ..
+    } in planned
+    {
         if mode == Mode::Realtime
             && let Some(plan) = batch.plans().first()
         {
@@ -483,16 +507,15 @@ fn play<'a>(
     Ok(runs)
 }
 
-/// Prints what matters, the table, and where the results are.
-fn show(args: &Args, runs: &[(&str, Run)]) {
+/// Prints what matters, the table, and where the results are. `references`: runs that say what localization cost, with their folders.
+fn show(args: &Args, runs: &[(&str, Run)], references: &[(String, Run)]) {
     let named: Vec<(&str, &Run)> = runs.iter().map(|(name, run)| (*name, run)).collect();
     if !named.is_empty() && args.show.is_table() {
         let earlier = match &named[..] {
             [(name, _)] => beside::earlier(&dir_of(args, name)),
             _ => Vec::new(),
         };
-        let earlier: Vec<(&str, &Run)> = earlier.iter().map(|(name, run)| (name.as_str(), run)).collect();
-        tables::print_opening(&named, &earlier, &next(args, &named));
+        tables::print_opening(&named, &borrowed(&earlier), &borrowed(references), &next(args, &named));
     }
     if !named.is_empty() {
         args.show.print(&named);
@@ -502,6 +525,10 @@ fn show(args: &Args, runs: &[(&str, Run)]) {
             .iter()
             .for_each(|(name, _)| println!("results in {}", dir_of(args, name).display()));
     }
+}
+
+fn borrowed(runs: &[(String, Run)]) -> Vec<(&str, &Run)> {
+    runs.iter().map(|(name, run)| (name.as_str(), run)).collect()
 }
 
 /// The commands that show more of runs.

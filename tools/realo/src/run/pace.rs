@@ -113,6 +113,7 @@ pub fn pace(graph: &Path, log: &Path, ego: Option<&str>, choices: &Choices) -> R
         protocol: None,
         choices: choices.clone(),
         out: Some(folder.0.clone()),
+        no_cost: false,
         resume: false,
         view: Default::default(),
         show: Show::default(),

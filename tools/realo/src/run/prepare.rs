@@ -48,6 +48,11 @@ impl RunPlan {
         !self.run_settings.settings.project.is_empty()
     }
 
+    /// Whether agents estimate their poses.
+    pub fn estimates_poses(&self) -> bool {
+        !self.run_settings.settings.pose_source.is_empty()
+    }
+
     /// The files in the folder of its results that it records into.
     pub fn recordings(&self) -> Vec<PathBuf> {
         let file = |node| given(node, decided_argument(node, roles::RECORDING)?).map(PathBuf::from);

@@ -54,12 +54,23 @@ pub fn earlier(plan: &RunPlan) -> Result<Earlier> {
     if !complete || !plan.recordings().iter().all(is_whole) {
         return Ok(Earlier::None);
     }
-    let reported = std::fs::read(plan.out.join(SETTINGS_FILE)).ok();
-    let reported = reported.and_then(|text| serde_json::from_slice::<RunSettings>(&text).ok());
-    match reported.is_some_and(|reported| reported.fingerprint == plan.fingerprint()) {
+    match is_of(&plan.out, plan.fingerprint()) {
         true => Ok(Earlier::Same),
         false => Ok(Earlier::Other),
     }
+}
+
+/// Whether a folder has the complete results of the run of a fingerprint.
+pub fn is_in(folder: &Path, fingerprint: &str) -> bool {
+    let whole = |run: realo_results::Run| run.result.complete && run.result.ended_by.is_none();
+    is_of(folder, fingerprint) && realo_results::read_run(folder).is_ok_and(whole)
+}
+
+/// Whether the last run that was prepared in a folder has a fingerprint.
+fn is_of(folder: &Path, fingerprint: &str) -> bool {
+    let reported = std::fs::read(folder.join(SETTINGS_FILE)).ok();
+    let reported = reported.and_then(|text| serde_json::from_slice::<RunSettings>(&text).ok());
+    reported.is_some_and(|reported| reported.fingerprint == fingerprint)
 }
 
 /// A hash of what decides a run: the stages, their arguments and wires, the files that arguments name, the log, what else

@@ -81,6 +81,7 @@ impl Args {
             protocol: self.protocol.clone(),
             choices: self.choices.clone(),
             out: None,
+            no_cost: false,
             resume: false,
             view: Default::default(),
             show: Default::default(),
