@@ -158,6 +158,13 @@ pub const MOST_RATE: f64 = 100.0;
 pub const MOST_FORCE: f64 = 5_000.0;
 /// Nothing on wheels is faster, m/s.
 pub const MOST_SPEED: f64 = 150.0;
+/// Steps of gyroscopes, rad/s, and of accelerometers, m/s², that are fine enough to change with each sample of a moving vehicle. Those of
+/// coarser units say the same for the time of a straight road.
+pub const FINE_STEPS: [f64; 2] = [2e-4, 3e-3];
+/// What rounding changes of a reading, as where axes of the unit were turned into those of the vehicle.
+pub const ROUNDING: f64 = 1e-9;
+/// One axis of a fine sensor may repeat its reading so often while the vehicle moves. One that is measured has changed as often before.
+pub const STUCK_AXIS: u32 = 100;
 /// Positions are nearer to the map's origin, m: Earth-centred ones are.
 pub const MOST_DISTANCE: f64 = 8e7;
 /// No variance is larger.

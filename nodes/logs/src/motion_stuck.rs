@@ -1,6 +1,6 @@
 //! Whether a sensor of an IMU, or one axis of it, stands still while the rest goes on.
 
-use realo_schemas::{ImuSample, Nanos};
+use realo_schemas::{ImuSample, Nanos, motion};
 
 use crate::motion_faults::STUCK_IMU;
 use crate::motion_turns::Place;
@@ -9,10 +9,6 @@ use crate::motion_turns::Place;
 const ALIVE: f64 = 0.5;
 /// An agent that came less far, m, may have stood, and a sensor with coarse steps then says the same all the time.
 const MOVED: f64 = 2.0;
-/// One axis may repeat its reading so often on the way. One that is measured has changed as often.
-const STUCK_AXIS: usize = 100;
-/// Steps of a sensor that is fine enough to change with each sample: rad/s of gyroscopes, m/s² of accelerometers.
-const FINE: [f64; 2] = [2e-4, 3e-3];
 
 /// Gyroscopes that say the same all the time while accelerometers do not, the other way round, or one axis of either.
 pub(crate) fn stuck_faults(samples: &[ImuSample], poses: &[Place]) -> Vec<String> {
@@ -43,28 +39,25 @@ fn sensor_faults(samples: &[ImuSample], poses: &[Place]) -> Vec<String> {
     found.map(words).collect()
 }
 
-/// What one axis repeats while the agent moves, as its poses say. An axis that hardly ever changes is one that the unit does not have, and
-/// units with coarse steps repeat themselves on straight roads.
+/// What one axis repeats while the agent moves, as its poses say. An axis that hardly ever changes is one that the unit does not have.
 fn axis_faults(samples: &[ImuSample], poses: &[Place]) -> Vec<String> {
     let sensors = [
         ("angular rate about", "gyroscope"),
         ("specific force along", "accelerometer"),
     ];
-    let axes = (0..2).flat_map(|part| (0..3).map(move |axis| (part, axis)));
+    let most = motion::STUCK_AXIS as usize;
+    let axes = (0..2).flat_map(|part| {
+        let steps = [0, 1, 2].map(|axis| steps(samples, part, axis));
+        let finest = steps.iter().flatten().copied().fold(f64::INFINITY, f64::min);
+        let is_measured = move |axis: &usize| finest <= motion::FINE_STEPS[part] && steps[*axis].len() >= most;
+        (0..3).filter(is_measured).map(move |axis| (part, axis))
+    });
     let stuck = axes.filter_map(|(part, axis)| {
         let rest = |sample: &ImuSample| {
             let mut all = readings(sample);
             all[part][axis] = 0.0;
             all
         };
-        let steps = samples
-            .array_windows()
-            .map(|[one, next]| (readings(next)[part][axis] - readings(one)[part][axis]).abs());
-        let steps: Vec<f64> = steps.filter(|step| *step > 0.0).collect();
-        let finest = steps.iter().copied().fold(f64::INFINITY, f64::min);
-        if steps.len() < STUCK_AXIS || finest > FINE[part] {
-            return None;
-        }
         let is_moving = |run: &[ImuSample]| moved_during(run, poses) == Some(true);
         let run = longest(samples, |sample| readings(sample)[part][axis], rest, is_moving);
         let (reading, sensor) = sensors[part];
@@ -75,9 +68,17 @@ fn axis_faults(samples: &[ImuSample], poses: &[Place]) -> Vec<String> {
                 ["x", "y", "z"][axis]
             )
         };
-        (run >= STUCK_AXIS).then(words)
+        (run >= most).then(words)
     });
     stuck.collect()
+}
+
+/// By how much one axis changed, each time that it did.
+fn steps(samples: &[ImuSample], part: usize, axis: usize) -> Vec<f64> {
+    let all = samples
+        .array_windows()
+        .map(|[one, next]| (readings(next)[part][axis] - readings(one)[part][axis]).abs());
+    all.filter(|step| *step > motion::ROUNDING).collect()
 }
 
 /// Angular rates and specific forces.

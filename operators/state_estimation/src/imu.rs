@@ -1,6 +1,7 @@
 //! Whether an IMU can be believed, by its samples one after the other.
 
 use nalgebra::Vector3;
+use realo_schemas::motion;
 
 use crate::ImuSample;
 use crate::fault::Fault;
@@ -14,14 +15,6 @@ const REPEATS: u32 = 2;
 const ALONE: [u32; 2] = [20, 50];
 /// So many times as often where their steps are coarse, for the time of a straight road.
 const COARSE: u32 = 10;
-/// One axis of an IMU may repeat its value so often while the wheels roll.
-const ONE_AXIS: u32 = 100;
-/// An axis that is measured has changed so often.
-const CHANGES: u32 = 100;
-/// Steps of a sensor that is fine enough to change with each sample: rad/s of gyroscopes, m/s² of accelerometers.
-const FINE: [f64; 2] = [2e-4, 3e-3];
-/// What rounding changes, as where axes of the unit were turned into those of the vehicle.
-const ROUNDING: f64 = 1e-9;
 /// Time over which the specific force is averaged, s.
 const AVERAGE_S: f64 = 1.0;
 /// The averaged force may lean so far from up (cosine), as it does at the hardest braking.
@@ -55,7 +48,7 @@ struct Axis {
 
 impl Axis {
     fn look(&mut self, step: f64, rolls: bool) {
-        if step <= ROUNDING {
+        if step <= motion::ROUNDING {
             self.run = self.run.saturating_add(u32::from(rolls));
             return;
         }
@@ -143,7 +136,9 @@ impl ImuMonitor {
     /// Whether all steps of a sensor so far were coarser than its noise.
     fn is_coarse(&self, part: usize) -> bool {
         let steps = self.axes[part].iter().filter_map(|axis| axis.step);
-        steps.reduce(f64::min).is_some_and(|step| step > FINE[part])
+        steps
+            .reduce(f64::min)
+            .is_some_and(|step| step > motion::FINE_STEPS[part])
     }
 
     /// Which sensor has an axis that is stuck. Only one with steps so fine that no two samples of it are equal by chance can tell. The
@@ -152,9 +147,9 @@ impl ImuMonitor {
         let up = rules.body_from_imu.rotation.inverse() * Vector3::z();
         let is_stuck = |part: usize| {
             let axes = &self.axes[part];
-            let is_fine = !self.is_coarse(part) && axes.iter().any(|axis| axis.changes >= CHANGES);
-            let is_measured = |at: usize| axes[at].changes >= CHANGES || (part == 0 && at == up.iamax());
-            is_fine && (0..3).any(|at| axes[at].run > ONE_AXIS && is_measured(at))
+            let is_fine = !self.is_coarse(part) && axes.iter().any(|axis| axis.changes >= motion::STUCK_AXIS);
+            let is_measured = |at: usize| axes[at].changes >= motion::STUCK_AXIS || (part == 0 && at == up.iamax());
+            is_fine && (0..3).any(|at| axes[at].run > motion::STUCK_AXIS && is_measured(at))
         };
         match is_stuck(0) {
             true => Some(Stuck::Gyroscopes),
