@@ -5,20 +5,18 @@ use realo_schemas::{Box3, Nanos};
 
 use crate::cdr::CdrWriter;
 
-/// Labels of `ObjectClassification`.
-const UNKNOWN: u8 = 0;
-const LABELS: [(&str, u8); 11] = [
-    ("vehicle", 1),
-    ("car", 1),
-    ("van", 1),
-    ("truck", 2),
-    ("bus", 3),
-    ("trailer", 4),
-    ("motorcycle", 5),
-    ("bicycle", 6),
-    ("cyclist", 6),
-    ("pedestrian", 7),
-    ("person", 7),
+/// The label of `ObjectClassification` for what has no other one.
+pub const UNKNOWN: u8 = 0;
+/// Its other labels, with names of classes in lower case.
+const LABELS: &[(u8, &[&str])] = &[
+    (1, &["vehicle", "car", "van", "policecar", "longvehicle"]),
+    (2, &["truck", "concretetruck", "trashcan"]),
+    (3, &["bus"]),
+    (4, &["trailer"]),
+    // The spelling is that of V2X-Real.
+    (5, &["motorcycle", "motorcyclist", "motorcylerider"]),
+    (6, &["bicycle", "cyclist", "bicyclerider", "scooter", "scooterrider"]),
+    (7, &["pedestrian", "person", "child", "roadworker"]),
 ];
 /// `DetectedObjectKinematics::AVAILABLE`: the whole orientation is known.
 const ORIENTED: u8 = 2;
@@ -28,8 +26,8 @@ const BOUNDING_BOX: u8 = 0;
 /// The label of a class; unknown ones have a label too.
 pub fn label(class: &str) -> u8 {
     let class = class.to_ascii_lowercase();
-    let known = LABELS.iter().find(|(name, _)| *name == class);
-    known.map_or(UNKNOWN, |(_, label)| *label)
+    let known = LABELS.iter().find(|(_, names)| names.contains(&&*class));
+    known.map_or(UNKNOWN, |(label, _)| *label)
 }
 
 /// Appends boxes as CDR.
@@ -118,5 +116,7 @@ mod tests {
     fn classes_have_the_labels_of_autoware() {
         let labels = ["vehicle", "Car", "TRUCK", "bus", "pedestrian", "unicorn"].map(label);
         assert_eq!(labels, [1, 1, 2, 3, 7, UNKNOWN]);
+        let riders = ["BicycleRider", "ScooterRider", "MotorcyleRider", "Child"].map(label);
+        assert_eq!(riders, [6, 6, 5, 7]);
     }
 }

@@ -57,6 +57,7 @@ impl Exporter for Rosbag2 {
             boxes: vec![Boxes::default(); agents.len()],
             without_way: 0,
             velocities: false,
+            unlabelled: BTreeMap::new(),
         };
         bag.messages(&agents, report).map_err(|failure| failure.named(folder))?;
         let Bag {
@@ -66,6 +67,7 @@ impl Exporter for Rosbag2 {
             agents: summaries,
             without_way,
             velocities,
+            unlabelled,
             ..
         } = bag;
         mcap.finish().map_err(|failure| failed(folder, failure))?;
@@ -79,7 +81,10 @@ impl Exporter for Rosbag2 {
         Ok(Exported {
             agents: summaries,
             left_out: left_out(without_way),
-            lost: lost(log, &agents, velocities),
+            lost: lost(log, &agents, velocities)
+                .into_iter()
+                .chain(without_label(&unlabelled))
+                .collect(),
             read_back: format!("realo-lab import bag PATH -o LOG.mcap --map PATH/{MAP}"),
             ..Exported::default()
         })
@@ -175,6 +180,8 @@ struct Bag<'a> {
     boxes: Vec<Boxes>,
     without_way: u64,
     velocities: bool,
+    /// Boxes for whose class Autoware has no label, by class.
+    unlabelled: BTreeMap<String, usize>,
 }
 
 impl Bag<'_> {
@@ -293,6 +300,12 @@ impl Bag<'_> {
         let (stamp, frame) = (entry.stamp(), body_frame(&entry.agent));
         self.agents[index].boxes += boxes.len();
         self.velocities |= boxes.iter().any(|object| object.velocity.is_some());
+        for object in boxes
+            .iter()
+            .filter(|object| objects::label(&object.class) == objects::UNKNOWN)
+        {
+            *self.unlabelled.entry(object.class.to_string()).or_default() += 1;
+        }
         let topic = |end: &str| format!("/{}/{end}", entry.agent);
         self.put(topic("objects"), Schema::Detection3DArray, entry, |out| {
             boxes::encode(out, stamp, &frame, &boxes);
@@ -310,6 +323,20 @@ impl Bag<'_> {
 fn left_out(without_way: u64) -> Vec<String> {
     let lines = (without_way > 0).then(|| format!("{without_way} sweeps without a transform to the body frame"));
     lines.into_iter().collect()
+}
+
+/// Classes for which Autoware has no label.
+fn without_label(unlabelled: &BTreeMap<String, usize>) -> Option<String> {
+    let classes: Vec<String> = unlabelled
+        .iter()
+        .map(|(class, count)| format!("{class} ({count})"))
+        .collect();
+    (!classes.is_empty()).then(|| {
+        format!(
+            "classes in `detected_objects`, whose label is UNKNOWN there: {}; `objects` and `markers` have them",
+            classes.join(", ")
+        )
+    })
 }
 
 /// What standard messages do not hold, of what the log has, a line each.
@@ -364,4 +391,17 @@ fn map_file(log: &Log, agents: &[BagAgent]) -> String {
         }
     }
     text
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn classes_without_a_label_are_counted_by_name() {
+        assert_eq!(without_label(&BTreeMap::new()), None);
+        let unlabelled = BTreeMap::from([("Kite".to_string(), 3), ("Deer".to_string(), 1)]);
+        let said = without_label(&unlabelled).unwrap();
+        assert!(said.contains("UNKNOWN there: Deer (1), Kite (3);"), "{said}");
+    }
 }

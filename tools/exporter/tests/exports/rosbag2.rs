@@ -15,6 +15,11 @@ fn a_simulated_log_comes_back_with_its_names_and_stamps() {
     let path = simulated(dir.path());
     let (out, back) = (dir.path().join("bag"), dir.path().join("back.mcap"));
     let exported = try_export("rosbag2", &path, &out, &[], false).unwrap();
+    assert!(
+        !exported.lost.iter().any(|line| line.contains("UNKNOWN")),
+        "{:?}",
+        exported.lost
+    );
     import(&exported, &back);
     let (log, back) = (Log::open(&path).unwrap(), Log::open(&back).unwrap());
     for name in AGENTS {
