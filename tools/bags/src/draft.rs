@@ -20,6 +20,8 @@ pub struct Draft {
     why: BTreeMap<(String, &'static str), String>,
     /// Why the world's frame is what it is.
     world: String,
+    /// Topics of markers that may be labels, by agents that have no truth.
+    markers: BTreeMap<String, String>,
     /// Bags of which no agent takes anything.
     unused: Vec<PathBuf>,
 }
@@ -69,6 +71,7 @@ impl Draft {
             },
             why: BTreeMap::new(),
             world: String::new(),
+            markers: BTreeMap::new(),
             unused: unused.into_iter().map(PathBuf::from).collect(),
         };
         let spaces: BTreeSet<String> = groups.iter().map(|group| group.space.clone()).collect();
@@ -137,6 +140,10 @@ impl Draft {
                 "detections",
                 "as `truth` instead if these are labels: without truth no run is scored".into(),
             );
+        }
+        let mut markers = group.topics(Kind::MarkerArray, spaces, groups);
+        if let (None, Some(markers)) = (truth, markers.next()) {
+            self.markers.insert(name.clone(), markers.topic.clone());
         }
         let lower = name.to_ascii_lowercase();
         let stands = ["rsu", "infra", "road", "mast"].iter().any(|word| lower.contains(word));
@@ -271,7 +278,14 @@ impl<'a> Group<'a> {
         let (source, world, imu, why) = if let Some(topic) = posed.into_iter().find_map(most) {
             let frame = topic.frames.iter().next().cloned().unwrap_or_default();
             let source = PoseSource::Topic(topic.topic.clone());
-            (source, survey.root_of(&frame), None, topic.kind.clone())
+            let all = posed.into_iter().flat_map(|kind| self.topics(kind, spaces, groups));
+            let others = all.filter(|other| other.topic != topic.topic);
+            let others: Vec<&str> = others.map(|other| other.topic.as_str()).collect();
+            let why = match others.is_empty() {
+                true => topic.kind.clone(),
+                false => format!("{}; it has {} too", topic.kind, others.join(", ")),
+            };
+            (source, survey.root_of(&frame), None, why)
         } else if survey.root_of(base) != *base {
             let root = survey.root_of(base);
             let why = format!("transforms from `{root}` to `{base}`");
@@ -440,6 +454,13 @@ impl fmt::Display for Draft {
                     line(f, field, &quoted(topic))?;
                 }
             }
+            if let Some(topic) = self.markers.get(name) {
+                writeln!(
+                    f,
+                    "    # truth: {}  # markers: take them if these are labels, for without truth no run is scored",
+                    quoted(topic)
+                )?;
+            }
             if agent.kind == AgentKind::Vehicle {
                 writeln!(
                     f,
@@ -454,6 +475,48 @@ impl fmt::Display for Draft {
 #[cfg(test)]
 mod tests {
     use super::*;
+
+    fn draft(topics: &[(&str, &str)]) -> String {
+        let topic = |(topic, kind): &(&str, &str)| TopicSurvey {
+            topic: (*topic).into(),
+            kind: (*kind).into(),
+            messages: 10,
+            frames: BTreeSet::from(["base_link".to_string()]),
+            ..TopicSurvey::default()
+        };
+        let survey = Survey {
+            path: "one.bag".into(),
+            format: "a bag",
+            span: None,
+            notes: Vec::new(),
+            decoded: Vec::new(),
+            topics: topics.iter().map(topic).collect(),
+            frames: Default::default(),
+        };
+        Draft::of(&[survey]).unwrap().to_string()
+    }
+
+    #[test]
+    fn what_may_be_meant_as_well_is_named() {
+        let clouds = ("/points", "sensor_msgs/PointCloud2");
+        let (odom, other) = (("/odom", "nav_msgs/Odometry"), ("/gps_odom", "nav_msgs/Odometry"));
+        let (markers, truth) = (
+            ("/objects", "visualization_msgs/MarkerArray"),
+            ("/ground_truth", "visualization_msgs/MarkerArray"),
+        );
+        let all = draft(&[clouds, odom, other, markers]);
+        assert!(
+            all.contains("; it has /odom too") || all.contains("; it has /gps_odom too"),
+            "{all}"
+        );
+        assert!(
+            all.contains("# truth: \"/objects\"  # markers") || all.contains("# truth: /objects  # markers"),
+            "{all}"
+        );
+        let clear = draft(&[clouds, odom, markers, truth]);
+        assert!(!clear.contains("too") && !clear.contains("# markers"), "{clear}");
+        assert!(clear.contains("truth: ") && clear.contains("/ground_truth"), "{clear}");
+    }
 
     #[test]
     fn the_shortest_path_that_is_unique_names_a_bag() {
