@@ -312,13 +312,15 @@ impl Results {
         timing.add_books(books);
         timing.processed = processed;
         timing.duration_ns = duration;
+        let timing = Timing {
+            log_path: self.log_path.take(),
+            machine: self.machine.take(),
+            ..Timing::of(timing)
+        };
+        result.notes.extend(timing.late_note(&result.settings));
         Run {
             result,
-            timing: Timing {
-                log_path: self.log_path.take(),
-                machine: self.machine.take(),
-                ..Timing::of(timing)
-            },
+            timing,
             samples: std::mem::take(&mut self.samples),
         }
     }

@@ -1,3 +1,4 @@
+use std::cmp::Ordering;
 use std::collections::BTreeMap;
 
 use realo_operator::{Books, Durations};
@@ -12,6 +13,10 @@ pub const TIMING: &str = "realo/timing";
 pub const END_TO_END: &str = "end_to_end";
 /// Key of `latency_ms` beside the stages: `end_to_end` without the delays that links on the way modelled.
 pub const FRAMEWORK: &str = "framework";
+/// Mode of a run by the wall clock.
+const REALTIME: &str = "realtime";
+/// A source that is so late, ms, makes data old enough to change scores: two sweeps.
+const LATE_MS: f64 = 200.0;
 
 /// How long things took: `timing.json`. All but `compute_ns` is wall time of the way that the final boxes came.
 #[derive(Clone, Debug, PartialEq, Serialize, Deserialize)]
@@ -196,6 +201,21 @@ impl Timing {
             samples,
         }
     }
+
+    /// What a run in realtime says of sources that released their messages later than they should have; `None` where all kept up.
+    pub fn late_note(&self, settings: &crate::Settings) -> Option<String> {
+        let (id, late) = self
+            .late_ms
+            .iter()
+            .max_by(|a, b| a.1.p95.partial_cmp(&b.1.p95).unwrap_or(Ordering::Equal))?;
+        let p95 = late.p95.filter(|p95| *p95 >= LATE_MS && settings.mode == REALTIME)?;
+        Some(format!(
+            "{id} was up to {:.1} s behind the log (95 % of its messages up to {:.1} s): this machine did not keep up, so ages, losses and scores are \
+             those of a slower one, and clocks seem to step; `--rate 0.5` gives it more time, `--mode virtual` all that it needs",
+            late.max.unwrap_or(p95) / 1e3,
+            p95 / 1e3
+        ))
+    }
 }
 
 /// Sweeps further apart have a pause between them, as where a log is played again, ns.
@@ -308,6 +328,26 @@ mod tests {
         samples.add_books(&books);
         let timing = Timing::of(samples);
         assert_eq!(timing.late_ms["player"].max, Some(0.0009));
+        let by = |mode: &str| crate::Settings {
+            mode: mode.into(),
+            ..crate::Settings::default()
+        };
+        assert_eq!(timing.late_note(&by(REALTIME)), None);
+        let mut slow = timing.clone();
+        slow.late_ms.insert(
+            "player".into(),
+            Spread {
+                p95: Some(2_400.0),
+                max: Some(9_731.0),
+                ..Spread::default()
+            },
+        );
+        let note = slow.late_note(&by(REALTIME)).unwrap();
+        assert!(
+            note.starts_with("player was up to 9.7 s behind the log (95 % of its messages up to 2.4 s)"),
+            "{note}"
+        );
+        assert_eq!(slow.late_note(&by("virtual")), None);
         assert!(!timing.compute_ns.contains_key("player"));
         assert_eq!(timing.compute_ns["sync"]["poses"], 710);
         assert_eq!(timing.compute_ns["sync"]["poses > sweeps"], 2_000);

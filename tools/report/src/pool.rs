@@ -67,6 +67,7 @@ pub fn pool(runs: &[Run]) -> Result<Run, PoolError> {
         ));
     }
     let mut timing = Timing::of(timing);
+    result.notes.extend(timing.late_note(&result.settings));
     let path = &first.timing.log_path;
     if runs.iter().all(|run| run.timing.log_path == *path) {
         timing.log_path.clone_from(path);
