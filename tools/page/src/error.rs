@@ -38,7 +38,8 @@ pub enum PageError {
     NoRun(Vec<String>),
     /// More than a page may hold, though no sweep is left in the player.
     #[error(
-        "the tables and charts of {runs} runs take {bytes} bytes, a page may have {most}; name fewer runs, or pool them"
+        "the tables and charts of {runs} runs take {bytes} bytes, a page may have {most}; name fewer runs, or play the logs of a \
+         graph in one command, which makes one run of them (`realo run GRAPH --log A.mcap --log B.mcap`)"
     )]
     TooLarge {
         /// How many runs.

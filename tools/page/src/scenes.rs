@@ -237,7 +237,7 @@ impl Scenes {
             let recording = folder.join(RECORDING);
             if !recording.exists() {
                 left_out.push(format!(
-                    "{name}: {} is not there, so the player does not show this run; give the graph a node `recorder` and run it again",
+                    "{name}: {} is not there, so the player does not show this run; run it again, with a node `recorder` in its graph",
                     recording.display()
                 ));
                 continue;

@@ -563,6 +563,23 @@ function pickedIn(pane, sweep) {
   return picked.run === pane.run ? sweep.boxes.find((box) => box.index === picked.index) || null : null;
 }
 
+/** Moves the view to what is picked, if the first pane that has it does not show it. */
+function lookAtPicked() {
+  for (const pane of panes) {
+    const sweep = judged(scene(), pane.run, seqNow());
+    const picked = pickedIn(pane, sweep);
+    if (!picked) continue;
+    const [x, y, z] = inMap(sweep.pose, picked.box[0], picked.box[1], state.view === "top" ? 0 : picked.box[2]);
+    const at = projection(pane.width, pane.height)(x, y, z);
+    if (at && at[0] >= 0 && at[0] <= pane.width && at[1] >= 0 && at[1] <= pane.height) return;
+    setFollow(false);
+    [camera.x, camera.y] = [x, y];
+    draw();
+    keepPlace();
+    return;
+  }
+}
+
 function pick(pane, px, py) {
   const sweep = judged(scene(), pane.run, seqNow());
   let best = null, nearest = Infinity;
@@ -775,6 +792,13 @@ function setFollow(follow) {
   if (transport.follow) transport.follow.setAttribute("aria-pressed", String(follow));
 }
 
+function toggleFollow() {
+  setFollow(!state.follow);
+  if (!state.follow) camera.turn = extent().turn;
+  draw();
+  keepPlace();
+}
+
 function setView(view) {
   if (view !== state.view) camera.scale *= view === "3d" ? 1.3 : 1 / 1.3;
   state.view = view;
@@ -791,7 +815,7 @@ function makeFilters() {
   const again = (change) => (value) => { change(value); filtersChosen(); };
   const views = segments([["top", "From above"], ["3d", "3D"]], state.view, setView);
   transport.views = views;
-  transport.follow = el("button", { type: "button", "aria-pressed": String(state.follow), title: "The ego stays in the middle", onclick: () => { setFollow(!state.follow); if (!state.follow) camera.turn = extent().turn; draw(); keepPlace(); } }, "Follow ego");
+  transport.follow = el("button", { type: "button", "aria-pressed": String(state.follow), title: "The ego stays in the middle", onclick: toggleFollow }, "Follow ego");
   byId("filters").replaceChildren(
     ...(scenes.length > 1 ? [choice("Scene", scenes, state.scene, (at) => openScene(at))] : []),
     views, transport.follow,
@@ -1020,11 +1044,12 @@ function setUp() {
   drawStrip();
 }
 
-/** Goes to a sweep and picks an object there. */
+/** Goes to a sweep and picks an object there; looks at it where it is out of view. */
 function show(seq, picked) {
   play(false);
   state.picked = picked;
   seek(Math.max(0, timeline().indexOf(seq)));
+  lookAtPicked();
   byId("player").scrollIntoView();
   // Keys are for the player from now on, not for what was clicked.
   if (panes.length) panes[0].canvas.focus({ preventScroll: true });
@@ -1037,7 +1062,7 @@ function onKey(event) {
   else if (event.key === "ArrowRight" && !range) step(event.shiftKey ? 10 : 1);
   else if (event.key === "ArrowLeft" && !range) step(event.shiftKey ? -10 : -1);
   else if (event.key === "3") setView(state.view === "3d" ? "top" : "3d");
-  else if (event.key === "f") { setFollow(!state.follow); draw(); }
+  else if (event.key === "f") toggleFollow();
   else return;
   event.preventDefault();
 }

@@ -95,6 +95,12 @@ test("keys step, play, turn the view and follow the ego", () => {
   assert.deepEqual(plain(page.value("[state.view, state.follow]")), ["3d", true]);
   page.press("3", { ctrlKey: true });
   assert.equal(page.value("state.view"), "3d");
+  page.value("clearTimeout(keeping)");
+  page.value("keeping = 0");
+  page.press("f");
+  assert.equal(page.value("state.follow"), false);
+  assert.equal(page.value("camera.turn"), page.value("extent().turn"), "the scene lies as before");
+  assert.notEqual(page.value("keeping"), 0, "the address keeps it");
 });
 
 test("what became of boxes and objects depends on the overlap, the ego's points and what was fused", () => {
@@ -427,6 +433,18 @@ test("after a click on an object that was added Space plays", () => {
   assert.equal(page.value("document.activeElement === panes[0].canvas"), true);
   page.press(" ", { target: { tagName: page.value("document.activeElement.tag").toUpperCase() } });
   assert.equal(page.value("state.playing"), true);
+});
+
+test("a click on an object of the list moves the view to it, unless it is in view", () => {
+  const page = opened();
+  const button = page.byId("added").all("button")[0];
+  const before = plain(page.value("camera"));
+  button.dispatch("click");
+  assert.deepEqual(plain(page.value("camera")), before, "it is in view");
+  page.value("camera.x += 500");
+  button.dispatch("click");
+  const at = page.value("(() => { const pane = panes.find((pane) => pickedIn(pane, judged(scene(), pane.run, seqNow()))); const sweep = judged(scene(), pane.run, seqNow()); const box = pickedIn(pane, sweep).box; return projection(pane.width, pane.height)(...inMap(sweep.pose, box[0], box[1], 0)).slice(0, 2).concat(pane.width / 2, pane.height / 2); })()");
+  close(plain(at).slice(0, 2), plain(at).slice(2), 1e-6);
 });
 
 test("beside a run is the ego alone that it is compared with", () => {

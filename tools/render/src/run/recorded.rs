@@ -50,7 +50,7 @@ impl RecordedRun {
         if !recording.exists() {
             let mend = match folder.ends_with(KEPT) {
                 true => "name the folder of a run that has one: these results are kept without a recording",
-                false => "give the graph a node `recorder` and run it again",
+                false => "run it again, with a node `recorder` in its graph",
             };
             return Err(RenderError::NoRecording { file: recording, mend });
         }
