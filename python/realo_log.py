@@ -505,6 +505,9 @@ class LogWriter:
         if self.has_origin:
             about["map_origin"] = json.dumps(geodetic("LogWriter", "map_origin", map_origin).tolist())
         self.path = os.path.realpath(path)
+        folder = os.path.dirname(self.path)
+        if not os.path.isdir(folder):
+            refuse("LogWriter", "path", "a file in a folder that is there", self.path, f"make {folder} first")
         # A device has no name to take.
         whole_file = not os.path.exists(self.path) or os.path.isfile(self.path)
         if whole_file and not force:

@@ -423,6 +423,10 @@ class TestFile(Case):
             self.assertIn(word, str(caught.exception))
         agent("car", "vehicle", footprint=np.array([-1, 3, -1, 1]))
 
+    def test_a_folder_that_is_not_there_is_refused_by_name(self):
+        with tempfile.TemporaryDirectory() as folder, self.assertRaisesRegex(ValueError, "`path`: expected a file in a folder that is there"):
+            LogWriter(f"{folder}/none/x.mcap", [agent("car", "vehicle")], source="test")
+
 
 if __name__ == "__main__":
     unittest.main()

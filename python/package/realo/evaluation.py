@@ -43,6 +43,7 @@ def evaluate(
     """
     where = "evaluate"
     _check.one_of(where, "unknown_classes", unknown_classes, ["refuse", "drop"])
+    _same_length(predictions, truth)
     found, processed, stamps = _predicted(predictions)
     footprint = None
     if ego_footprint is not None:
@@ -60,6 +61,8 @@ def evaluate(
         if outside:
             _check.refuse(where, "frames", "all frames that have boxes", f"boxes of frame {outside[0]} beside them", "add it")
         numbers = sorted(set(wanted))
+    if not numbers:
+        _check.refuse(where, "truth", "one frame or more", "none", "frames=range(n) names frames of which none has a box")
     for argument, boxes in ("predictions", found), ("truth", objects.boxes), ("truth", objects.own):
         _check_classes(argument, boxes, protocol, unknown_classes)
     # Every frame was processed, unless the caller tells them apart.
@@ -72,6 +75,17 @@ def evaluate(
         "own": _side(objects.own, objects.own_points, place, "truth"),
     }
     return Run(_realo.evaluate(protocol, rows, sides, name, ego), name)
+
+
+def _same_length(predictions: Any, truth: Any) -> None:
+    """Lists are paired by their places, so one that is short is a mistake. What comes of logs is paired by `seq`."""
+    if not all(isinstance(side, (list, tuple)) for side in (predictions, truth)):
+        return
+    if any(isinstance(one, (Labels, Truth)) for side in (predictions, truth) for one in side):
+        return
+    if len(predictions) != len(truth):
+        advice = "give a frame without boxes an empty Boxes, one that was not processed None, or dicts by frame"
+        _check.refuse("evaluate", "predictions", f"{len(truth)} frames, as `truth` has", f"{len(predictions)}", advice)
 
 
 def _numbers(boxes: Boxes) -> list[int]:

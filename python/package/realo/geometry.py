@@ -33,6 +33,9 @@ def _rectangles(name: str, values: Boxes | ArrayLike) -> Floats:
     if isinstance(values, Boxes):
         return np.column_stack([values.center[:, :2], values.size[:, :2], values.yaw])
     width = np.shape(values)[-1] if np.ndim(values) else 0
+    if np.size(values) and width not in (5, 7):
+        expected = "shape (n, 7): x, y, z, length, width, height, yaw, or (n, 5): x, y, length, width, yaw"
+        _check.refuse("iou", name, expected, f"{np.shape(values)}", "give each row these columns")
     rows = _check.rows("iou", name, values, 7 if width == 7 else 5)
     return np.ascontiguousarray(rows[:, [0, 1, 3, 4, 6]] if width == 7 else rows)
 
@@ -74,6 +77,9 @@ def nms(
 
 def transform(to_from_from: ArrayLike, boxes: Boxes) -> Boxes:
     """Boxes in another frame, by a 4×4 matrix. They stay gravity-aligned: tilt moves the centre and turns the heading only."""
+    if np.shape(to_from_from) != (4, 4):
+        advice = "put a rotation and a translation into the first three rows, and 0, 0, 0, 1 into the last one"
+        _check.refuse("transform", "to_from_from", "shape (4, 4)", f"{np.shape(to_from_from)}", advice)
     matrix = _check.rows("transform", "to_from_from", to_from_from, 4, 4)
     found = Boxes._of_row(_realo.transform(matrix.ravel().tolist(), _boxes("transform", boxes)._row()))
     found.frame = boxes.frame

@@ -123,6 +123,8 @@ def read_run(folder: Path) -> Run:
 def compare(runs: Mapping[str, Run], format: str = "table", full: bool = False, width: int | None = None) -> str:
     """Runs side by side, by their names, as `realo compare` prints them."""
     _check.one_of("compare", "format", format, ["table", "md", "csv", "latex", "json"])
+    if not runs:
+        _check.refuse("compare", "runs", "one run or more, by names", "none", "realo.evaluate and realo.read_run give runs")
     columns = max(width or shutil.get_terminal_size().columns, 40)
     return _realo.shown(list(runs), [run._files for run in runs.values()], format, full, columns)
 

@@ -92,6 +92,11 @@ class TestEvaluate(unittest.TestCase):
             (lambda: realo.evaluate([good.values], [good]), "`predictions`: expected Boxes, found ndarray at frame 0"),
             (lambda: realo.evaluate([good], [good], ego_footprint=[1, 2]), "`ego_footprint`"),
             (lambda: realo.evaluate([good], [good], "dair-vehicle"), "`truth`: .*has no such labels"),
+            (lambda: realo.evaluate([good], [good] * 3), "`predictions`: expected 3 frames, as `truth` has, found 1"),
+            (lambda: realo.evaluate([good, None], [good]), "`predictions`: expected 1 frames, as `truth` has, found 2"),
+            (lambda: realo.evaluate([], []), "`truth`: expected one frame or more, found none"),
+            (lambda: realo.compare({}), "`runs`: expected one run or more"),
+            (lambda: realo.iou(np.zeros((2, 6)), good), r"`a`: expected shape \(n, 7\): x, y, z, .*found \(2, 6\)"),
         ):
             with self.assertRaisesRegex(ValueError, words):
                 call()
@@ -196,7 +201,9 @@ class TestGeometry(unittest.TestCase):
                 np.testing.assert_allclose(values, expected[name], atol=1e-9, err_msg=name)
         back = realo.transform(np.linalg.inv(turn), moved)
         np.testing.assert_allclose(back.values[:, :6], self.boxes.values[:, :6], atol=1e-9)
-        for wrong in (np.eye(3), np.eye(4) * 2, np.full((4, 4), np.nan)):
+        with self.assertRaisesRegex(ValueError, r"`to_from_from`: expected shape \(4, 4\), found \(3, 3\); put a rotation"):
+            realo.transform(np.eye(3), self.boxes)
+        for wrong in (np.eye(4) * 2, np.full((4, 4), np.nan)):
             with self.assertRaisesRegex(ValueError, "`to_from_from`"):
                 realo.transform(wrong, self.boxes)
 
