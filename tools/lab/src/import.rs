@@ -9,7 +9,7 @@ use std::rc::Rc;
 use clap::Subcommand;
 use eyre::{Result, bail};
 use realo_cli::{Force, Outcome, Output, Progress, one_of, report_left_out, unfinished};
-use realo_importer::{FolderMemory, Importer, Level, Options};
+use realo_importer::{FolderMemory, Imported, Importer, Level, Options};
 use realo_logs::Log;
 
 use self::kind::KindArgs;
@@ -175,7 +175,16 @@ fn import(
         [log] => println!("{}", realo_logs::describe(log)?),
         _ => written.iter().for_each(|log| println!("written: {}", log.display())),
     }
-    Ok(Outcome::Complete)
+    match &imported {
+        Imported::Bags(summary) if summary.is_partial() => {
+            eprintln!(
+                "realo-lab: {}: part of a bag is missing (see `note:`); the log has what is left of it",
+                output.display()
+            );
+            Ok(Outcome::Partial)
+        }
+        _ => Ok(Outcome::Complete),
+    }
 }
 
 /// Refuses to write a log over what it is made of.

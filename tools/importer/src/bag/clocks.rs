@@ -1,15 +1,18 @@
 //! How the clocks of bags differ: by what is in them, or by the map file.
 
-use std::path::Path;
+mod log_times;
+mod spans;
 
 use realo_schemas::{Nanos, to_millis, to_seconds};
 
+use self::log_times::LogTimes;
 use super::Import;
+use super::agents::Agent;
 use super::small::{References, Seen, Small};
 use crate::ImportError;
 
 /// Stamps and log times that are nearer are of one clock, ns.
-const ONE_CLOCK: Nanos = 1_000_000_000;
+pub const ONE_CLOCK: Nanos = 1_000_000_000;
 /// So many messages of two bags must be equal.
 const LEAST_EQUAL: usize = 3;
 /// Half of the offsets of equal messages must be within this of their median, ns.
@@ -45,98 +48,94 @@ pub struct Clocks {
 pub fn joined(import: &Import, small: &Small) -> Result<Clocks, ImportError> {
     let (mut words, mut unused) = (Vec::new(), Vec::new());
     let by_bag = of_bags(import, small, &mut words, &mut unused)?;
-    let behind: Vec<Nanos> = (0..import.agents.len()).map(|agent| behind(small, agent)).collect();
-    let is_other = |agent: usize| behind[agent].abs() > ONE_CLOCK;
-    let span = |agent: usize| {
-        let heads = &small.agents[agent].heads[0].stamps;
-        let first = heads.first().map_or(0, |[stamp, _]| *stamp);
-        let bag = import.joined.bags[import.agents[agent].bag].span().unwrap_or_default();
-        [first, first.saturating_add(bag[1].saturating_sub(bag[0]))]
-    };
-    let spans: Vec<[Nanos; 2]> = (0..import.agents.len()).map(span).collect();
-    let apart = spans
+    let said: Vec<Option<Nanos>> = import
+        .agents
         .iter()
-        .any(|span| spans.iter().any(|other| !overlap(*span, *other)));
-    let mut agents = Vec::new();
-    for (place, agent) in import.agents.iter().enumerate() {
-        let name = &agent.name;
-        let stamp = match (agent.map.offset, by_bag[agent.bag]) {
-            (Some(seconds), _) => {
-                words.push(format!("clock of `{name}`: {seconds:+.4} s by the map file"));
-                (seconds * 1e9) as Nanos
-            }
-            (None, Some(offset)) => offset,
-            (None, None) if apart && is_other(place) => {
-                words.push(format!(
-                    "clock of `{name}`: its stamps are {:+.3} s from its log times, and agents have no time in common by their stamps; they \
-                     are taken as log time by the quickest message",
-                    to_seconds(behind[place])
-                ));
-                behind[place]
-            }
-            (None, None) => 0,
-        };
-        // Log times of another clock than the stamps' are brought to it by the quickest message.
-        let own = if is_other(place) { behind[place] } else { 0 };
-        agents.push(AgentClock {
-            stamp,
-            ready: stamp.saturating_sub(own),
-        });
-    }
-    have_time_in_common(import, &spans, &agents)?;
+        .map(|agent| said_by_map(agent, &mut words).or(by_bag[agent.bag]))
+        .collect();
+    let log_times = LogTimes::new(import, small);
+    let moves = by_log_times(import, small, &log_times, &said, &mut words)?;
+    spans::have_time_in_common(import, small, &moves)?;
     let is_joined = import.agents.iter().any(|agent| agent.bag != import.agents[0].bag);
     if is_joined && words.is_empty() {
-        words.push(format!(
-            "clocks of the bags: taken as one by {} time; nothing in the bags says otherwise (`offset` in the map file)",
-            import.map.clock.as_str()
-        ));
+        words.push(taken_as_one(import, small));
     }
     words.extend(unused);
+    let clock = |(place, stamp): (usize, Nanos)| {
+        let own = log_times.to_log(place).map_or(0, |to_log| to_log.shift);
+        AgentClock {
+            stamp,
+            ready: stamp.saturating_sub(own),
+        }
+    };
+    let agents = moves.into_iter().enumerate().map(clock).collect();
     Ok(Clocks { agents, words })
 }
 
-fn overlap(a: [Nanos; 2], b: [Nanos; 2]) -> bool {
-    a[0] <= b[1] && b[0] <= a[1]
+/// What the map file says is added to an agent's stamps, ns.
+fn said_by_map(agent: &Agent, words: &mut Vec<String>) -> Option<Nanos> {
+    let seconds = agent.map.offset?;
+    words.push(format!("clock of `{}`: {seconds:+.4} s by the map file", agent.name));
+    Some((seconds * 1e9) as Nanos)
 }
 
-/// Refuses agents whose sweeps have no time in common, by all clocks as they were found.
-fn have_time_in_common(import: &Import, spans: &[[Nanos; 2]], agents: &[AgentClock]) -> Result<(), ImportError> {
-    let moved: Vec<[Nanos; 2]> = spans
-        .iter()
-        .zip(agents)
-        .map(|(span, clock)| span.map(|time| time.saturating_add(clock.stamp)))
-        .collect();
-    for (place, span) in moved.iter().enumerate() {
-        if let Some(other) = moved[..place].iter().position(|other| !overlap(*other, *span)) {
-            let [a, b] = [other, place].map(|agent| {
-                let [first, last] = moved[agent];
-                let name = &import.agents[agent].name;
-                format!(
-                    "`{name}` has sweeps from {:.3} to {:.3} s",
-                    to_seconds(first),
-                    to_seconds(last)
-                )
-            });
-            let path: &Path = import.joined.bags[import.agents[place].bag].path();
-            let reason = format!(
-                "expected agents with a time in common; {a}, {b}; give `offset` (s) of one of them in the map file, or `clock: log`"
-            );
-            return Err(ImportError::content(path, reason));
+/// What is added to the stamps of all agents, ns: as something else says it, else by log times where stamps have another epoch.
+///
+/// Log times count where the agents have no time in common, and where stamps are ahead by leap seconds of a clock that is known.
+///
+/// # Errors
+/// Bags that cannot be read.
+fn by_log_times(
+    import: &Import,
+    small: &Small,
+    log_times: &LogTimes,
+    said: &[Option<Nanos>],
+    words: &mut Vec<String>,
+) -> Result<Vec<Nanos>, ImportError> {
+    let mut moves: Vec<Nanos> = said.iter().map(|said| said.unwrap_or(0)).collect();
+    let is_other = |place: &usize| said[*place].is_none() && log_times.to_log(*place).is_some();
+    if !(0..moves.len()).any(|place| is_other(&place)) {
+        return Ok(moves);
+    }
+    let is_apart = spans::apart(import, small, &moves)?.is_some();
+    // From log times to the one clock on which all bags end, by what is said of the reference.
+    let from_log_times = said[log_times.reference].map_or(0, |said| {
+        said.saturating_sub(log_times.to_log(log_times.reference).map_or(0, |to_log| to_log.shift))
+    });
+    for place in (0..moves.len()).filter(is_other) {
+        let Some(to_log) = log_times.to_log(place) else {
+            continue;
+        };
+        if is_apart || (to_log.is_leap && log_times.has_reference_in_step()) {
+            moves[place] = to_log.shift.saturating_add(from_log_times);
+            words.push(format!(
+                "clock of `{}`: {}; `offset` in the map file says it otherwise",
+                import.agents[place].name, to_log.words
+            ));
         }
     }
-    Ok(())
+    Ok(moves)
 }
 
-/// Log time less stamp of the quickest of an agent's first clouds, ns.
-fn behind(small: &Small, agent: usize) -> Nanos {
-    let heads = small.agents[agent].heads.iter();
-    let behind = heads.flat_map(|heads| {
-        heads
-            .stamps
-            .iter()
-            .map(|[stamp, log_time]| log_time.saturating_sub(*stamp))
-    });
-    behind.min().unwrap_or(0)
+/// Says that nothing in the bags compares their clocks, and what could not be compared.
+fn taken_as_one(import: &Import, small: &Small) -> String {
+    let clock = import.map.clock.as_str();
+    let uncompared: Vec<&str> = small
+        .bags
+        .iter()
+        .flat_map(|bag| &bag.uncompared)
+        .map(String::as_str)
+        .collect();
+    match uncompared[..] {
+        [] => format!(
+            "clocks of the bags: taken as one by {clock} time; nothing in the bags says otherwise (`offset` in the map file)"
+        ),
+        _ => format!(
+            "clocks of the bags: taken as one by {clock} time. The bags are of ROS 1 and ROS 2, so messages of {} cannot be compared, because \
+             their type is not read; if the clocks differ, give `offset` (s) of an agent in the map file",
+            uncompared[..uncompared.len().min(4)].join(", ")
+        ),
+    }
 }
 
 /// What is added to the stamps of each bag by its messages, ns; `None` where nothing says it.

@@ -21,10 +21,14 @@ pub struct Heads {
     pub scale: f32,
     /// How times are read.
     pub times: Option<TimeRule>,
+    /// Whether times count from the stamps of headers although log times are the stamps, as of a LiDAR whose clock is another one.
+    pub by_header: bool,
     /// The field of times, in words.
     pub time_words: String,
     /// How intensities became bytes.
     pub intensity_words: String,
+    /// From a stamp to the last point of a sweep, ns; 0 without times.
+    pub lasts: Nanos,
     /// Stamp and log time of the first clouds.
     pub stamps: Vec<[Nanos; 2]>,
     /// First clouds, in their own frames.
@@ -56,13 +60,14 @@ pub fn heads(import: &Import, agent: &Agent, topic: &Topic) -> Result<Heads, Imp
             "expected clouds, found no message; name another topic in the map file".into(),
         ));
     }
-    let (mut readers, mut stamps, mut reason) = (Vec::new(), Vec::new(), None);
+    let (mut readers, mut stamps, mut headers, mut reason) = (Vec::new(), Vec::new(), Vec::new(), None);
     for message in &looked {
         let read = connection
             .reader_of(message)
             .and_then(|mut input| CloudReader::read(&mut input));
         match read {
             Ok(mut reader) => {
+                headers.push(reader.stamp);
                 reader.stamp = stamp_of(import.map.clock, reader.stamp, message.log_time);
                 stamps.push([reader.stamp, message.log_time]);
                 readers.push(reader);
@@ -74,20 +79,41 @@ pub fn heads(import: &Import, agent: &Agent, topic: &Topic) -> Result<Heads, Imp
         let reason = reason.unwrap_or_default();
         return Err(wrong(format!("its first clouds cannot be read: {reason}")));
     }
-    let mut heads = Heads::of(&readers, stamps).map_err(wrong)?;
+    let by_stamps = Heads::of(&readers, stamps.clone());
+    let by_header = by_stamps.is_err() && import.map.clock == StampClock::Log;
+    if by_header {
+        let readers = readers.iter_mut().zip(&headers);
+        readers.for_each(|(reader, header)| reader.stamp = *header);
+    }
+    let mut heads = match by_header {
+        true => Heads::of(&readers, stamps).map(Heads::of_headers),
+        false => by_stamps,
+    }
+    .map_err(wrong)?;
     let reading = Reading {
         scale: heads.scale,
         times: heads.times,
         to: None,
     };
-    for reader in readers.iter().take(GROUNDS) {
+    for (place, reader) in readers.iter().take(GROUNDS).enumerate() {
         let (cloud, _) = reader.cloud(&reading).map_err(wrong)?;
-        heads.first.push((reader.stamp, bare(reader.frame).into(), cloud));
+        let last = cloud.time.iter().copied().max().unwrap_or(0);
+        heads.lasts = heads.lasts.max(last.into());
+        heads
+            .first
+            .push((heads.stamps[place][0], bare(reader.frame).into(), cloud));
     }
     Ok(heads)
 }
 
 impl Heads {
+    /// The same, of times that count from the stamps of headers.
+    fn of_headers(mut self) -> Heads {
+        self.by_header = true;
+        self.time_words += ", from the stamps of headers";
+        self
+    }
+
     /// By the fields of the first cloud and the values of all; yet without clouds. At least one reader.
     fn of(readers: &[CloudReader], stamps: Vec<[Nanos; 2]>) -> Result<Heads, String> {
         let looks: Vec<Look> = readers.iter().flat_map(CloudReader::look).collect();
@@ -117,6 +143,8 @@ impl Heads {
                     format!("{field}{kind}, times {scale}")
                 }
             },
+            by_header: false,
+            lasts: 0,
             stamps,
             first: Vec::new(),
         })

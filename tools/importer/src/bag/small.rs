@@ -1,5 +1,7 @@
 //! All messages but the clouds, and how the first clouds are to be read.
 
+mod content;
+
 use std::cell::Cell;
 use std::collections::{BTreeMap, BTreeSet, HashMap};
 use std::hash::{DefaultHasher, Hash, Hasher};
@@ -31,7 +33,8 @@ pub struct At<T> {
 
 /// By topic and source: reference clock less the clock of the stamps, and the time of the reference, ns.
 pub type References = BTreeMap<[String; 2], Vec<[Nanos; 2]>>;
-/// Log times of messages by a hash of topic and bytes; `None` of bytes that are there twice.
+/// Log times of messages by a hash of topic and content; `None` of content that is there twice. The content is the bytes, or what they
+/// say where bags differ in how they serialise the topic.
 pub type Seen = HashMap<u64, Option<Nanos>>;
 
 /// What a bag says besides clouds.
@@ -45,6 +48,10 @@ pub struct BagSmall {
     pub references: References,
     /// Messages that may be in other bags too.
     pub seen: Seen,
+    /// Topics that another bag has in the serialisation of the other version of ROS, and whose type is not read.
+    pub uncompared: Vec<String>,
+    /// Connections that another bag has in another serialisation.
+    mixed: BTreeSet<usize>,
 }
 
 /// What motion sensors of an agent measured.
@@ -143,7 +150,7 @@ pub fn read(import: &Import, report: &mut dyn FnMut(&'static str, u64, u64)) -> 
     let all: u64 = all.map(|(_, count)| count).sum();
     let mut done = 0;
     for (place, bag) in import.joined.bags.iter().enumerate() {
-        small.bags.push(BagSmall::default());
+        small.bags.push(BagSmall::of(import, place));
         let wanted: BTreeSet<usize> = wanted(import, place).map(|(connection, _)| connection).collect();
         let mut messages = bag.messages(&wanted)?;
         while let Some(message) = messages.next()? {
@@ -195,6 +202,13 @@ fn is_in_all(import: &Import, connection: &Connection) -> bool {
     !is_image && import.joined.bags.iter().all(|bag| has(bag.as_ref()))
 }
 
+/// Whether another bag serialises a topic otherwise.
+fn is_mixed(import: &Import, connection: &Connection) -> bool {
+    let is_other = |other: &Connection| other.topic == connection.topic && other.encoding != connection.encoding;
+    let mut bags = import.joined.bags.iter();
+    bags.any(|bag| bag.connections().iter().any(is_other))
+}
+
 impl Small {
     fn take(&mut self, import: &Import, bag: usize, connection: &Connection, message: &Message) -> Result<(), String> {
         let known = &mut self.bags[bag];
@@ -202,7 +216,7 @@ impl Small {
         // What a file says that two bags share says nothing of their clocks either.
         let is_shared = import.joined.shared[bag].contains(&message.connection);
         if import.joined.bags.len() > 1 && !is_shared && !is_static(&connection.topic) {
-            known.see(&connection.topic, message);
+            known.see(connection, message);
         }
         let Some(kind) = Kind::named(&connection.kind) else {
             return Ok(());
@@ -245,11 +259,36 @@ impl Small {
 }
 
 impl BagSmall {
+    /// Of a bag before it is read.
+    fn of(import: &Import, bag: usize) -> Self {
+        let connections = import.joined.bags[bag].connections().iter().enumerate();
+        let mixed = connections.filter(|(_, connection)| is_in_all(import, connection) && is_mixed(import, connection));
+        let (mut places, mut uncompared) = (BTreeSet::new(), Vec::new());
+        for (place, connection) in mixed {
+            places.insert(place);
+            if bag == 0 && Kind::named(&connection.kind).is_none() {
+                uncompared.push(format!("`{}` ({})", connection.topic, connection.kind));
+            }
+        }
+        BagSmall {
+            uncompared,
+            mixed: places,
+            ..BagSmall::default()
+        }
+    }
+
     /// Remembers a message that other bags may have, too.
-    fn see(&mut self, topic: &str, message: &Message) {
+    fn see(&mut self, connection: &Connection, message: &Message) {
         let data = message.data();
-        if data.len() <= COMPARED && self.seen.len() < MOST_COMPARED {
-            let seen = self.seen.entry(hash(topic, data));
+        if data.len() > COMPARED || self.seen.len() >= MOST_COMPARED {
+            return;
+        }
+        let hash = match self.mixed.contains(&message.connection) {
+            false => Some(hash(&connection.topic, data)),
+            true => content::said(connection, data).map(|said| hash(&connection.topic, said.as_bytes())),
+        };
+        if let Some(hash) = hash {
+            let seen = self.seen.entry(hash);
             seen.and_modify(|seen| *seen = None).or_insert(Some(message.log_time));
         }
     }

@@ -75,6 +75,22 @@ pub struct BagSummary {
     pub world: String,
 }
 
+/// What notes say of bags of which nothing is missing, as parts of them.
+const WHOLE: [&str; 4] = [
+    "it is a log of realo",
+    "there is no metadata.yaml",
+    "packets of `",
+    "packets are no UDP over IPv4",
+];
+
+impl BagSummary {
+    /// Whether a note says that something of a bag is missing, as of one that was cut or not closed.
+    pub fn is_partial(&self) -> bool {
+        let is_whole = |note: &String| WHOLE.iter().any(|part| note.contains(part));
+        !self.notes.iter().all(is_whole)
+    }
+}
+
 impl fmt::Display for BagAgent {
     fn fmt(&self, f: &mut fmt::Formatter) -> fmt::Result {
         let BagAgent {

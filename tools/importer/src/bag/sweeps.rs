@@ -5,13 +5,13 @@ use std::collections::{BTreeSet, VecDeque};
 use nalgebra::{Isometry3, Point3, UnitQuaternion, Vector3};
 use realo_bags::Messages;
 use realo_bags::map_file::{Height, StampClock};
-use realo_logs::Frames;
 use realo_logs::cloud::{CloudReader, Reading};
+use realo_logs::{Frames, kind_of_clock, side};
 use realo_schemas::geometry::{level_from_body, tilt_degrees};
-use realo_schemas::{Nanos, PointCloud};
+use realo_schemas::{Nanos, PointCloud, to_seconds};
 
 use super::agents::Agent;
-use super::clocks::AgentClock;
+use super::clocks::{AgentClock, ONE_CLOCK};
 use super::heads::{Heads, stamp_of};
 use super::track::Track;
 use super::{Counted, Import};
@@ -63,6 +63,8 @@ pub struct Sweeps<'a> {
     pub lacking: Vec<u64>,
     /// Sweeps that were given.
     pub joined: u64,
+    /// Stamp and log time of the first sweep that no pose is near.
+    unposed: Option<[Nanos; 2]>,
 }
 
 impl<'a> Sweeps<'a> {
@@ -96,6 +98,7 @@ impl<'a> Sweeps<'a> {
             unstamped: vec![0; agent.clouds.len()],
             lacking: vec![0; agent.clouds.len()],
             joined: 0,
+            unposed: None,
         })
     }
 
@@ -160,12 +163,17 @@ impl<'a> Sweeps<'a> {
         let clock = self.import.map.clock;
         self.unstamped[topic] += u64::from(reader.stamp == 0 && clock == StampClock::Header);
         let stamp = stamp_of(clock, reader.stamp, log_time);
-        reader.stamp = stamp;
+        if !self.heads[topic].by_header {
+            reader.stamp = stamp;
+        }
         let moved = stamp.saturating_add(self.clock.stamp);
         if moved < 0 {
             return Err("its stamp is before 1970".into());
         }
-        let world_from_frame = self.track.at(stamp).ok_or("no pose is near its stamp")?;
+        let Some(world_from_frame) = self.track.at(stamp) else {
+            self.unposed.get_or_insert([stamp, log_time]);
+            return Err("no pose is near its stamp".into());
+        };
         let frame_from_lidar = self.agent.map.mount(self.frames, reader.frame, stamp)?;
         let body_from_frame = by_pose(&world_from_frame.rotation, self.height);
         let reading = Reading {
@@ -188,6 +196,16 @@ impl<'a> Sweeps<'a> {
         })
     }
 
+    /// Why no pose is near the first sweep that has none, and what to try; `None` where all have one.
+    pub fn why_unposed(&self) -> Option<String> {
+        let times = self.unposed?;
+        Some(unposed_words(
+            times,
+            self.track.nearest(times[0])?,
+            self.import.map.clock,
+        ))
+    }
+
     /// A sweep with the nearest of the other topics.
     fn joined(&mut self, mut sweep: Sweep) -> Sweep {
         self.joined += 1;
@@ -205,6 +223,34 @@ impl<'a> Sweeps<'a> {
         }
         sweep
     }
+}
+
+/// How far the nearest pose is from a sweep, whether their clocks differ, and what to try. Of both, stamp and log time, ns.
+fn unposed_words([stamp, log_time]: [Nanos; 2], [pose, pose_log_time]: [Nanos; 2], clock: StampClock) -> String {
+    let away = pose.saturating_sub(stamp);
+    let nearest = format!(
+        "the nearest pose is {:.3} s {} the first such sweep",
+        to_seconds(away.saturating_abs()),
+        side(away)
+    );
+    // When the sweep was recorded, by the clock of the poses.
+    let recorded = log_time.saturating_add(pose.saturating_sub(pose_log_time));
+    let ahead = stamp.saturating_sub(recorded);
+    if ahead.saturating_abs() <= ONE_CLOCK || clock == StampClock::Log {
+        return format!("{nearest}, and both have one clock: poses of that time are missing in the bag");
+    }
+    let looks = match kind_of_clock(stamp, recorded) {
+        Some(kind) => format!("the clock of the clouds looks like {kind}"),
+        None => "the kind of that clock is not known".into(),
+    };
+    format!(
+        "{nearest}, and by log times the stamps of clouds are {:.3} s {} those of poses; {looks}. Try \
+         `clock: log` in the map file, which takes log times as the stamps of all topics, so sweeps get late by the time until they were \
+         recorded. Or correct the stamps of the clouds, and set the clock of the LiDAR for the next recording (`offset` moves clouds and poses \
+         alike)",
+        to_seconds(ahead.saturating_abs()),
+        side(ahead)
+    )
 }
 
 /// The points of two clouds; `later`: how far the stamp of the second is behind the first, ns.

@@ -92,6 +92,15 @@ impl Track {
         is_near.then(|| interpolate(a, b, to_seconds(stamp - t0) / to_seconds(t1 - t0)))
     }
 
+    /// The pose whose stamp is nearest: its stamp and log time.
+    pub fn nearest(&self, stamp: Nanos) -> Option<[Nanos; 2]> {
+        let next = self.poses.partition_point(|(at, ..)| *at < stamp);
+        let around = self.poses[next.saturating_sub(1)..].iter().take(2);
+        around
+            .map(|(at, log_time, _)| [*at, *log_time])
+            .min_by_key(|[at, _]| at.abs_diff(stamp))
+    }
+
     /// Whether poses are too far apart for a run, so that each sweep needs one of its own.
     pub fn is_sparse(&self) -> bool {
         self.is_fixed || self.step().is_none_or(|step| step > SPARSE)

@@ -87,7 +87,8 @@ pub fn write(
     writing.summary.warnings = warnings(import, &small, &tracks, &readers);
     let notes = writing.states.iter().flat_map(|state| state.notes.iter().cloned());
     writing.summary.warnings.extend(notes);
-    writing.finish(output, faults)
+    let unposed: Vec<Option<String>> = readers.iter().map(Sweeps::why_unposed).collect();
+    writing.finish(output, faults, &unposed)
 }
 
 /// What reads the sweeps of each agent.
@@ -356,8 +357,8 @@ impl Writing<'_> {
         }
     }
 
-    /// Ends the log; an agent without sweeps is an error, with why it has none.
-    fn finish(self, output: &Path, faults: Counted) -> Result<BagSummary, ImportError> {
+    /// Ends the log; an agent without sweeps is an error, with why it has none. `unposed`: why no pose is near sweeps of each agent.
+    fn finish(self, output: &Path, faults: Counted, unposed: &[Option<String>]) -> Result<BagSummary, ImportError> {
         let Writing {
             mut log,
             import,
@@ -366,11 +367,12 @@ impl Writing<'_> {
             summary,
             ..
         } = self;
-        let mut agents = import.agents.iter().zip(&states);
-        if let Some((agent, _)) = agents.find(|(_, state)| state.last.is_none()) {
+        if let Some(place) = states.iter().position(|state| state.last.is_none()) {
+            let agent = &import.agents[place];
             let reasons = faults.0.iter().map(|(reason, n)| format!("\n  {n} × {reason}"));
             let (name, reasons) = (&agent.name, reasons.collect::<String>());
-            let reason = format!("agent `{name}`: expected sweeps, none is left:{reasons}");
+            let why = unposed[place].as_ref().map_or(String::new(), |why| format!("\n{why}"));
+            let reason = format!("agent `{name}`: expected sweeps, none is left:{reasons}{why}");
             return Err(ImportError::content(import.joined.bags[agent.bag].path(), reason));
         }
         let levelled = |(agent, state): (&Agent, &State)| {

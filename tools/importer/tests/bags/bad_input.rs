@@ -36,6 +36,7 @@ fn a_cut_bag_gives_its_whole_chunks_and_says_what_is_lost() {
             note.contains("cut at byte") && note.contains("chunks are lost"),
             "{note}"
         );
+        assert!(summary.is_partial(), "{summary}");
         let sweeps = summary.agents[0].sweeps as i64;
         assert!((SWEEPS / 2..SWEEPS).contains(&sweeps), "{packing}: {sweeps}");
     }
@@ -69,7 +70,10 @@ fn cut_files_of_ros_2_give_what_is_whole() {
     let bytes = fs::read(&path).unwrap();
     fs::write(&path, &bytes[..bytes.len() * 2 / 3]).unwrap();
     let summary = import(std::slice::from_ref(&path), Some(MAP), &dir.path().join("log.mcap")).unwrap();
-    assert!(summary.notes[0].contains("cut at byte"), "{summary}");
+    assert!(
+        summary.notes[0].contains("cut at byte") && summary.is_partial(),
+        "{summary}"
+    );
     assert!((summary.agents[0].sweeps as i64) < SWEEPS);
     let dir = tempfile::tempdir().unwrap();
     let path = dir.path().join("cut.db3");
@@ -107,7 +111,25 @@ fn a_missing_part_is_named() {
     // Without metadata nobody knows, and what is there is read.
     fs::remove_file(bag.join("metadata.yaml")).unwrap();
     let summary = import(&[bag], Some(MAP), &dir.path().join("log.mcap")).unwrap();
-    assert!(summary.notes[0].contains("no metadata.yaml"), "{summary}");
+    assert!(
+        summary.notes[0].contains("no metadata.yaml") && !summary.is_partial(),
+        "{summary}"
+    );
+}
+
+#[test]
+fn whole_bags_are_not_partial_whatever_is_noted() {
+    let dir = tempfile::tempdir().unwrap();
+    let [path, log, again] = ["some.bag", "log.mcap", "again.mcap"].map(|name| dir.path().join(name));
+    ros1(&path, &recording(PLAIN, 0.0, 0), "none");
+    let summary = import(&[path], Some(MAP), &log).unwrap();
+    assert!(summary.notes.is_empty() && !summary.is_partial(), "{summary}");
+    let map = "agents:\n  car:\n    clouds: /car/points\n    frame: car/body\n    height: 0\n    pose: /car/pose\n";
+    let summary = import(&[log], Some(map), &again).unwrap();
+    assert!(
+        summary.notes[0].contains("a log of realo") && !summary.is_partial(),
+        "{summary}"
+    );
 }
 
 #[test]

@@ -2,6 +2,7 @@
 
 mod apart;
 mod bad_input;
+mod clocks;
 mod containers;
 mod fields;
 mod fuzz;
