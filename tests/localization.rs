@@ -170,6 +170,14 @@ fn a_table_says_what_localization_costs() {
     let (again, said) = run(&[]);
     assert!(!said.contains("once more"), "{said}");
     assert!(words(&again).contains(&expected), "{again}");
+    // Results of another run are never replaced.
+    std::fs::remove_file(recorded.join(".recorded-poses")).unwrap();
+    std::fs::remove_file(recorded.join("localization/cav1/result.json")).unwrap();
+    let (_, said) = run(&[]);
+    assert!(
+        said.contains("holds something else") && said.contains("--no-cost"),
+        "{said}"
+    );
 }
 
 #[test]

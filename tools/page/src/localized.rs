@@ -15,7 +15,15 @@ pub fn localization_cost(runs: &[(&str, &Run)], others: &[(&str, &Run)]) -> Opti
     let costs = runs.iter().filter(|(_, run)| !is_alone(run)).filter_map(|(name, run)| {
         let (reference, exact) = others.iter().find(|(_, other)| differs_in_poses_alone(run, other))?;
         let (own, exact) = (mean(run, &iou)?, mean(exact, &iou)?);
-        Some(cost(name, &run.result.settings.pose_source, own, reference, exact))
+        let theirs = match run.result.settings.mode.as_str() {
+            "offline" => "exact ones",
+            _ => "those of the log",
+        };
+        let settings = &run.result.settings;
+        Some(format!(
+            "{}, and {exact:.3} with {theirs} ({reference})",
+            cost(name, &settings.pose_source, own, exact)
+        ))
     });
     let mut costs: Vec<String> = costs.collect();
     if costs.is_empty() {
@@ -29,14 +37,14 @@ pub fn localization_cost(runs: &[(&str, &Run)], others: &[(&str, &Run)]) -> Opti
     Some(format!("Localization, at IoU {iou}: {}.", costs.join("; ")))
 }
 
-fn cost(name: &str, source: &str, own: f64, reference: &str, exact: f64) -> String {
+fn cost(name: &str, source: &str, own: f64, exact: f64) -> String {
     let lost = exact - own;
     let says = match lost {
         _ if lost.abs() < 0.0005 => "cost nothing".into(),
         _ if lost > 0.0 => format!("cost {lost:.3}"),
         _ => format!("gain {:.3}", -lost),
     };
-    format!("poses of {source} {says} in {name}: {own:.3}, and {exact:.3} with those of the log ({reference})")
+    format!("poses of {source} {says} in {name}: {own:.3}")
 }
 
 /// Whether one run has estimated poses, the other has those of the log, and all else that was chosen is the same.

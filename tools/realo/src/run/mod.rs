@@ -515,6 +515,8 @@ fn show(args: &Args, runs: &[(&str, Run)], references: &[(String, Run)]) {
             [(name, _)] => beside::earlier(&dir_of(args, name)),
             _ => Vec::new(),
         };
+        let is_reference = |name: &String| references.iter().any(|(reference, _)| reference == name);
+        let earlier: Vec<(String, Run)> = earlier.into_iter().filter(|(name, _)| !is_reference(name)).collect();
         tables::print_opening(&named, &borrowed(&earlier), &borrowed(references), &next(args, &named));
     }
     if !named.is_empty() {
