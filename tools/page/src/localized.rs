@@ -54,7 +54,8 @@ fn differs_in_poses_alone(run: &Run, other: &Run) -> bool {
         ..run.result.settings.clone()
     };
     let (own, exact) = (&run.result.settings.pose_source, &other.result.settings.pose_source);
-    !own.is_empty() && exact.is_empty() && is_comparable(run, other) && chosen(run) == chosen(other)
+    let is_same = !is_alone(other) && is_comparable(run, other) && chosen(run) == chosen(other);
+    !own.is_empty() && exact.is_empty() && is_same
 }
 
 #[cfg(test)]
