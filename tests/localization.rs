@@ -38,27 +38,25 @@ fn run(name: &str, log: &Path, more: &[&str]) -> Value {
     run_virtual(name, "late_fusion", log, &args)
 }
 
+/// A run of late fusion in virtual time.
+fn played<'a>(log: &'a str, out: &'a str, more: &[&'a str]) -> Vec<&'a str> {
+    let mut args = vec![
+        "run",
+        "late_fusion",
+        "--recorded-detections",
+        "--mode",
+        "virtual",
+        "--ego",
+        "cav1",
+    ];
+    args.extend(["--log", log, "--out", out]);
+    args.extend(more);
+    args
+}
+
 /// What a run says that must fail.
 fn refused(log: &Path, more: &[&str]) -> String {
-    let (log, out) = (shown(log), shown(&folder("localization-refused")));
-    let args = [
-        &[
-            "run",
-            "late_fusion",
-            "--recorded-detections",
-            "--mode",
-            "virtual",
-            "--ego",
-            "cav1",
-            "--log",
-            &log,
-            "--out",
-            &out,
-        ],
-        more,
-    ]
-    .concat();
-    let output = realo(args);
+    let output = realo(played(&shown(log), &shown(&folder("localization-refused")), more));
     assert_eq!(output.status.code(), Some(1), "{}", text(&output.stdout));
     text(&output.stderr)
 }
@@ -125,21 +123,7 @@ fn a_table_says_what_localization_costs() {
     let out = folder.join("gnss");
     let (log, out_shown) = (shown(&log), shown(&out));
     let run = |more: &[&str]| {
-        let args = [
-            "run",
-            "late_fusion",
-            "--recorded-detections",
-            "--mode",
-            "virtual",
-            "--ego",
-            "cav1",
-            "--log",
-            &log,
-            "--out",
-            &out_shown,
-            "--localization",
-            "gnss",
-        ];
+        let args = played(&log, &out_shown, &["--localization", "gnss"]);
         let output = realo([args.as_slice(), more].concat());
         assert_eq!(output.status.code(), Some(0), "{}", text(&output.stderr));
         (text(&output.stdout), text(&output.stderr))

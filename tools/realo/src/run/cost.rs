@@ -59,8 +59,8 @@ fn reference(args: &Args, mode: Mode, planned: &Planned) -> Result<Option<(Strin
         ..args.clone()
     };
     let mut batch = with_recorded_poses(&own, mode, planned)?;
-    let known = beside::folders(&folder).into_iter();
-    if let Some(known) = known.filter_map(|known| known_run(&known, &own, &batch)).next() {
+    let beside = beside::folders(&folder);
+    if let Some(known) = beside.iter().find_map(|known| known_run(known, &own, &batch)) {
         return Ok(Some(known));
     }
     if !is_free(&out) {
